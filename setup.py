@@ -53,7 +53,9 @@ setup(
         'pye57', 'matplotlib', 'plotly', 'rich', 'rosbags', 'pyyaml', 'jsonschema',
         'pillow'],
     extras_require={'test': ['pytest', 'pytest-timeout', 'hypothesis'], 'ray': ['ray'],
-                    'studio': ['viser==1.1.1']},
+                    'studio': ['viser==1.1.1'],
+                    'buildings': ['ezdxf==1.4.5', 'ifcopenshell==0.9.0.post1',
+                                  'usd-core==26.11']},
     entry_points={
         'console_scripts': [
             'sim_node = ocp_ros.ros.start:sim_node',

@@ -156,7 +156,7 @@ def plan(room: RoomLike, rig: RigLike | None = None, *, cameras: int | str | Non
     :param progress: is called several times a second with the used share of the budget and the
         lowest objective value; its result is ignored.
     :param reading: options for a scan or points: ``scale``, ``up``, ``drop_nonfinite``,
-        ``all_rooms``; see :func:`~ocp_ros.scenes.scene_files.load_scene`.
+        ``all_rooms``, ``height`` and others; see :func:`~ocp_ros.scenes.scene_files.load_scene`.
     :raises UserError: if the room, the rig or an argument cannot be used; the text is one
         sentence.
     """
@@ -197,7 +197,7 @@ def score(room: RoomLike, placement: str | PathLike[str] | Mapping[str, Any] | P
     :param sensor: sensor of all cameras if the placement is an array of poses and no rig is given.
     :param points: largest number of points of the room; default: as in the placement, or 60,000.
     :param reading: options for a scan or points: ``scale``, ``up``, ``drop_nonfinite``,
-        ``all_rooms``.
+        ``all_rooms`` and others, as for :func:`plan`.
     :raises UserError: if the room, the placement or the rig cannot be used; the text is one
         sentence.
     """

@@ -201,6 +201,14 @@ def add_reading(command: argparse.ArgumentParser) -> None:
                          'or inf, which organised clouds contain')
     command.add_argument('--all-rooms', action='store_true', help='keep what the scan shows of '
                          'other rooms through openings')
+    command.add_argument('--height', type=float, metavar='METRES', help='height of the walls of '
+                         'an occupancy map or a DXF floor plan')
+    command.add_argument('--layers', help='layers of walls of a DXF floor plan, with commas; '
+                         'default: those named like walls')
+    command.add_argument('--storey', help='storey of an IFC model; default: all')
+    command.add_argument('--space', help='space of an IFC model; default: all')
+    command.add_argument('--open-doors', action='store_true', help='leave out the doors of an IFC '
+                         'model')
 
 
 def room_asked(arguments: argparse.Namespace, recorded: dict[str, Any]

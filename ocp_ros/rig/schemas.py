@@ -181,7 +181,11 @@ ROOM = mapping(
                  minimum=MIN_ROOM_POINTS, maximum=MAX_ROOM_POINTS),
     scale=number('metres per unit of the file, above 0', 1.0, exclusiveMinimum=0),
     up=one_of(UP_AXES, 'z'),
-    drop_nonfinite=BOOLEAN, all_rooms=BOOLEAN,
+    drop_nonfinite=BOOLEAN, all_rooms=BOOLEAN, open_doors=BOOLEAN,
+    height=number('metres from 0.5 to 100', 2.7, minimum=0.5, maximum=100),
+    layers=text('names of layers with commas', 'A-WALL'),
+    storey=text('the name of a storey', 'Ground floor'),
+    space=text('the name of a space', 'Office 1'),
     source_from_map={
         'description': 'four rows of four numbers: map coordinates to those of the scan',
         'type': 'array', 'minItems': 4, 'maxItems': 4,

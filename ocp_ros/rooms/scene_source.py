@@ -24,6 +24,7 @@ from zipfile import BadZipFile
 import numpy as np
 from ocp_ros import __version__
 from ocp_ros.rooms.generator import generate_room
+from ocp_ros.scenes.building_files import Building
 from ocp_ros.scenes.scene import Mesh, Scene, SceneError, turned
 from ocp_ros.scenes.scene_files import load_scene
 from ocp_ros.scenes.source_frame import BY_FILE, SourceFrame, UP_CHOICES
@@ -31,7 +32,7 @@ from ocp_ros.util.files import cache_folder, sha256_of_file, write_atomically
 from ocp_ros.util.settings import MAX_ROOM_POINTS, MAX_SEED, MIN_ROOM_POINTS, setting
 
 #: The names of the options of reading a scan, in commands, parameters and placement files.
-READING = ('scale', 'up', 'drop_nonfinite', 'all_rooms')
+READING = ('scale', 'up', 'drop_nonfinite', 'all_rooms', *Building._fields)
 #: The default number of points of a room in which placements are evaluated.
 ROOM_POINTS = 60_000
 #: The least size in bytes of a file whose scene is cached: smaller files are read as fast.
@@ -57,6 +58,13 @@ class SceneConfig:
                                'its format says, otherwise z', choices=UP_CHOICES)
     drop_nonfinite: bool = setting(False, 'leave out points with NaN or inf')
     all_rooms: bool = setting(False, 'keep other rooms of the file that are seen through openings')
+    height: float = setting(0.0, 'height of the walls of a map or a DXF floor plan, metres',
+                            0.0, 100.0)
+    layers: str = setting('', 'layers of walls of a DXF floor plan, with commas; empty: those '
+                              'named like walls')
+    storey: str = setting('', 'storey of an IFC model; empty: all')
+    space: str = setting('', 'space of an IFC model; empty: all')
+    open_doors: bool = setting(False, 'leave out the doors of an IFC model')
 
 
 def make_scene(config: SceneConfig) -> Scene:

@@ -14,27 +14,36 @@
 
 """File formats of rooms and their readers, by file name suffix."""
 
+from importlib.util import find_spec
 from pathlib import Path
 import re
 from typing import NamedTuple
 
 import numpy as np
+from ocp_ros.scenes.building_files import Building, MAP, read_map
 from ocp_ros.scenes.cloud_files import (
     has_faces,
     read_e57_points,
     read_pcd_fields,
     read_ply_fields,
 )
+from ocp_ros.scenes.guarded_reading import read_guarded
 from ocp_ros.scenes.las_files import FOOT, las_units, LengthUnit, METRE, read_las_points
-from ocp_ros.scenes.measured_room import read_measured_room, solids_in
+from ocp_ros.scenes.measured_room import ROOM, solids_of, triangles_of
 from ocp_ros.scenes.meshes import MESHES, read_mesh
 from ocp_ros.scenes.scene import SceneError
 from ocp_ros.scenes.text_tables import read_points, read_ptx_points
 from ocp_ros.util.terminal_text import printable
+from ocp_ros.util.yaml_files import check, read_plain
 
-#: Suffixes of measured rooms. Other kinds of files have these suffixes too, so
-#: :func:`~ocp_ros.scenes.scene_files.scans_in` leaves them out.
+#: Suffixes of measured rooms and of maps.
 MEASURED = ('.yaml', '.yml')
+#: The kind of each suffix of floor plans and models of buildings, and the package that reads it.
+BUILDINGS = {'.dxf': ('dxf', 'ezdxf'), '.ifc': ('ifc', 'ifcopenshell'),
+             **dict.fromkeys(('.usd', '.usda', '.usdc', '.usdz'), ('usd', 'pxr'))}
+#: The options of each kind; those of walls need the height.
+BUILDING_OPTIONS = {'dxf': ('height', 'layers'), 'map': ('height',),
+                    'ifc': ('storey', 'space', 'open_doors')}
 TEXTS = ('.asc', '.csv', '.pts', '.txt', '.xyz')
 #: Units of length by a pattern of their names in comments.
 COMMENT_UNITS = {
@@ -134,8 +143,6 @@ def declared_by(path: Path) -> Declared:
     suffix = path.suffix.lower()
     if suffix in ('.glb', '.gltf'):
         return Declared(up='y', remark='up: y (glTF)')
-    if suffix in MEASURED:
-        return Declared(solids=solids_in(path))
     if suffix in ('.las', '.laz'):
         return _declared_units(*las_units(path))
     if suffix in ('.obj', '.off', '.ply', *TEXTS):
@@ -166,5 +173,63 @@ def _declared_units(plan: LengthUnit, height: LengthUnit) -> Declared:
 READERS = {'.las': read_las_points, '.laz': read_las_points, '.npy': _read_npy, '.pcd': _read_pcd,
            '.ply': _read_ply, '.ptx': read_ptx_points, '.e57': read_e57_points,
            **dict.fromkeys(TEXTS, read_points),
-           **dict.fromkeys(MESHES, read_mesh),
-           **dict.fromkeys(MEASURED, read_measured_room)}
+           **dict.fromkeys(MESHES, read_mesh)}
+SUFFIXES = (*READERS, *BUILDINGS, *MEASURED)
+
+
+def read_file(path: Path, building: Building, scale: float) -> tuple[np.ndarray, Declared]:
+    """
+    Read a file with one of the ``SUFFIXES``.
+
+    :param building: what is read of a map, a floor plan or a model of a building.
+    :param scale: metres per unit of the file; 0 for the unit that it declares.
+    :returns: (N, 3) points, (N, 6) points and normals, or (T, 9) the corners of triangles, in the
+        unit and the axes of the file; and what the file declares.
+    :raises Exception: almost any, if the file is broken.
+    """
+    suffix = path.suffix.lower()
+    if suffix in MEASURED:
+        document = read_plain(path)
+        if isinstance(document.data, dict) and 'image' in document.data:
+            check(document, MAP)
+            _check_building(path, 'map', building)
+            return read_map(document, path.parent, building.height), Declared()
+        check(document, ROOM)
+        _check_building(path, '', building)
+        return triangles_of(document).reshape(-1, 9), Declared(solids=solids_of(document))
+    kind, package = BUILDINGS.get(suffix, ('', ''))
+    _check_building(path, kind, building)
+    if not kind:
+        return READERS[suffix](path), declared_by(path)
+    if find_spec(package) is None:
+        raise ImportError(f"{package}: pip install 'ocp_ros[buildings]'")
+    arguments = {'dxf': (str(building.height), building.layers, str(scale)), 'usd': (),
+                 'ifc': (building.storey, building.space, 'yes' if building.open_doors else '')}
+    try:
+        rows = read_guarded(kind, path, 9, max(path.stat().st_size, 5_000_000), arguments[kind])
+    except ValueError as error:
+        # A sentence of the reader itself, not an error of its library.
+        if str(error).startswith('found '):
+            raise SceneError(f'{path.name}: {error}') from error
+        raise
+    if len(rows) < 2:
+        raise ValueError('no visible faces')
+    # The first row is the frame.
+    metres, up_name = float(rows[0, 0]), 'xyz'[int(rows[0, 1])]
+    remark = ', '.join([*([f'unit: {metres:g} m'] if metres != 1.0 else []),
+                        *([f'up: {up_name}'] if up_name != 'z' else [])])
+    return rows[1:].copy(), Declared((metres,) * 3, up_name, f'{remark}, as the file says')
+
+
+def _check_building(path: Path, kind: str, building: Building) -> None:
+    """Refuse options that do not fit the kind of a file, and walls without a height."""
+    allowed = BUILDING_OPTIONS.get(kind, ())
+    for option, value in building._asdict().items():
+        if value and option not in allowed:
+            kinds = ' or '.join(name for name, names in BUILDING_OPTIONS.items()
+                                if option in names)
+            raise SceneError(f'{path.name}: found --{option.replace("_", "-")} with this file; '
+                             f'expected it with a file of the kind {kinds}; leave it out')
+    if 'height' in allowed and not 0.5 <= building.height <= 100.0:
+        raise SceneError(f'{path.name}: found walls in plan, and a height of {building.height:g} '
+                         'm; expected 0.5 to 100; give the height of the walls (--height 2.7)')

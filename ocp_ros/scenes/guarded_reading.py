@@ -31,15 +31,16 @@ import sys
 from types import SimpleNamespace
 
 import numpy as np
-from ocp_ros.scenes import gltf_files
+from ocp_ros.scenes import building_files, gltf_files
 from ocp_ros.util.guarded_process import confine, GuardedProcess, limit, ReadingCost
 
 #: The limits of each kind of file: bytes of memory, more bytes of memory per byte of the file, and
 #: seconds.
 READING_COSTS = {
-    'e57': ReadingCost(600_000_000, 20, 10), 'gltf': ReadingCost(600_000_000, 40, 10),
-    'las': ReadingCost(600_000_000, 3, 10),
-    'mesh': ReadingCost(700_000_000, 40, 20), 'ply': ReadingCost(400_000_000, 40, 10)}
+    'dxf': ReadingCost(600_000_000, 60, 20), 'e57': ReadingCost(600_000_000, 20, 10),
+    'gltf': ReadingCost(600_000_000, 40, 10), 'ifc': ReadingCost(800_000_000, 60, 60),
+    'las': ReadingCost(600_000_000, 3, 10), 'mesh': ReadingCost(700_000_000, 40, 20),
+    'ply': ReadingCost(400_000_000, 40, 10), 'usd': ReadingCost(800_000_000, 60, 20)}
 #: The number of bytes of points that are processed at once.
 BLOCK_BYTES = 1 << 25
 
@@ -162,10 +163,14 @@ def ply_rows(path: str, *columns: str) -> Iterator[np.ndarray]:
 
 #: The reader of each kind, and the packages that it imports before the process gives up its
 #: rights.
-READERS = {'e57': (e57_rows, 'pye57'), 'gltf': (gltf_rows,),
+READERS = {'dxf': (building_files.dxf_rows, 'ezdxf', 'ezdxf.path'), 'e57': (e57_rows, 'pye57'),
+           'gltf': (gltf_rows,),
+           'ifc': (building_files.ifc_rows, 'ifcopenshell', 'ifcopenshell.geom',
+                   'ifcopenshell.util.unit'),
            'las': (las_rows, 'laspy', 'lazrs', 'laszip'),
            'mesh': (mesh_rows, 'open3d'),
-           'ply': (ply_rows, 'plyfile', 'encodings.ascii')}
+           'ply': (ply_rows, 'plyfile', 'encodings.ascii'),
+           'usd': (building_files.usd_rows, 'pxr', 'pxr.UsdGeom')}
 
 
 def main(arguments: list[str]) -> int:
@@ -187,7 +192,11 @@ def main(arguments: list[str]) -> int:
             for package in packages:
                 with suppress(ImportError):
                     import_module(package)
-            confine([path, *(gltf_files.buffer_files(path) if kind == 'gltf' else ())])
+            # Some libraries read files of their own late. A stage may consist of several files.
+            folders = [folder for package in packages
+                       for folder in getattr(sys.modules.get(package), '__path__', ())]
+            confine([path, *(gltf_files.buffer_files(path) if kind == 'gltf' else ())],
+                    readable_folders=[*folders, *([Path(path).parent] if kind == 'usd' else ())])
             for block in read_rows(path, *reader_arguments):
                 output.write(np.ascontiguousarray(block, dtype=np.float64))
         except MemoryError:

@@ -20,11 +20,10 @@ walls are south (y = 0), east, north and west (x = 0).
 """
 
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 from ocp_ros.util import yaml_files as schema
-from ocp_ros.util.yaml_files import check, Document, read_document, Schema
+from ocp_ros.util.yaml_files import check, Document, Schema
 from scipy.spatial import ConvexHull, QhullError
 
 #: For each wall, the axis normal to it, and whether it is at the far end of that axis.
@@ -58,19 +57,9 @@ FACES = np.array([[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4,
                   [1, 3, 7, 5]])
 
 
-def read_measured_room(path: Path) -> np.ndarray:
-    """
-    Read a room file (see docs/reference/room.md) as the triangles of its surfaces.
-
-    :returns: (T, 9) float64, the corners of each triangle, metres, z up.
-    :raises ConfigurationError: if the file is not a valid room; the message is one sentence.
-    """
-    return triangles_of(read_document(path, ROOM)).reshape(-1, 9)
-
-
-def solids_in(path: Path) -> np.ndarray:
-    """Return the S boxes in a room file: (S, 2, 3) metres, their lowest and highest corners."""
-    boxes = read_document(path, ROOM).data.get('boxes', ())
+def solids_of(document: Document) -> np.ndarray:
+    """Return the S boxes of a measured room: (S, 2, 3) metres, lowest and highest corners."""
+    boxes = document.data.get('boxes', ())
     return np.array([data['box'] for data in boxes], dtype=np.float64).reshape(-1, 2, 3)
 
 
@@ -84,7 +73,7 @@ def triangles_of(document: Document) -> np.ndarray:
     """
     size = np.array(document.data['size'], dtype=np.float64)
     # The first two faces of a box are the lower and the upper one.
-    floor, ceiling = _box_faces(np.zeros(3), size)[:2]
+    floor, ceiling = box_faces(np.zeros(3), size)[:2]
     quads = [floor, ceiling]
     for wall in WALLS:
         quads += _wall_rectangles(document, wall, size)
@@ -96,13 +85,13 @@ def triangles_of(document: Document) -> np.ndarray:
                 f'the lowest corner first, and the highest within {size.tolist()}',
                 'correct those that are not')
         # The first face is the underside, which is not visible if the box stands on the floor.
-        quads += list(_box_faces(low, high)[int(low[2] == 0.0):])
+        quads += list(box_faces(low, high)[int(low[2] == 0.0):])
     # A diagonal divides each rectangle into two triangles.
     corners = np.array(quads)
     return np.concatenate([corners[:, [0, 1, 2]], corners[:, [0, 2, 3]]])
 
 
-def _box_faces(low: np.ndarray, high: np.ndarray) -> np.ndarray:
+def box_faces(low: np.ndarray, high: np.ndarray) -> np.ndarray:
     """Return the faces of a box, the lower, then the upper one first: (6, 4, 3) metres."""
     is_high = (np.arange(8)[:, None] >> np.arange(3)) & 1
     return np.where(is_high, high, low)[FACES]

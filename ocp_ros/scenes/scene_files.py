@@ -31,13 +31,14 @@ from ocp_ros.geometry.clouds import (
     voxel_downsample,
     voxel_size_for,
 )
+from ocp_ros.scenes.building_files import Building, EVERYTHING
 from ocp_ros.scenes.false_points import (
     isolated_points,
     MAX_ISOLATED_SHARE,
     stray_points,
     without_mirror_images,
 )
-from ocp_ros.scenes.file_formats import Declared, declared_by, MEASURED, READERS
+from ocp_ros.scenes.file_formats import Declared, read_file, READERS, SUFFIXES
 from ocp_ros.scenes.inner_surface import inner_surface, without_outside
 from ocp_ros.scenes.main_room import main_room, without_views_outside
 from ocp_ros.scenes.measured_room import CORNERS, room_between
@@ -63,8 +64,8 @@ from scipy.spatial import cKDTree
 #: The number of sample points on a mesh, to find its size, axes and stray parts.
 COARSE_SAMPLES = 60_000
 #: Suffixes of models that are no meshes, or of programs for models.
-MODELS = ('.3dm', '.3ds', '.blend', '.dae', '.dwg', '.dxf', '.fbx', '.ifc', '.iges', '.igs',
-          '.rvt', '.skp', '.sldprt', '.step', '.stp', '.usd', '.usda', '.usdc', '.usdz')
+MODELS = ('.3dm', '.3ds', '.blend', '.dae', '.dwg', '.fbx', '.iges', '.igs', '.rvt', '.skp',
+          '.sldprt', '.step', '.stp')
 #: The number of points on which a scan is judged, however many of them are asked for.
 SURVEY_POINTS = 60_000
 
@@ -77,7 +78,8 @@ class SceneWarning(UserWarning):
 
 def load_scene(path, *, voxel_size: float = 0.0, max_points: int = 0, scale: float = 0.0,
                up: str = BY_FILE, drop_nonfinite: bool = False,
-               all_rooms: bool = False) -> Scene:
+               all_rooms: bool = False, height: float = 0.0, layers: str = '', storey: str = '',
+               space: str = '', open_doors: bool = False) -> Scene:
     """
     Read a room from a file.
 
@@ -88,12 +90,13 @@ def load_scene(path, *, voxel_size: float = 0.0, max_points: int = 0, scale: flo
     list possible problems, and ``remarks`` list what was left out.
     Normals are kept if the file has them and no points are merged.
 
-    From a mesh (.obj, .stl, .off, .glb, .gltf, and .ply with faces) 300,000 points, or
-    ``max_points``, are sampled evenly by area and always the same. They lie on the sides of the
-    faces that are visible from the air of the room, see :mod:`ocp_ros.scenes.inner_surface`, with
-    the normals of these sides.
+    Occupancy maps (.yaml), floor plans (.dxf), models of buildings (.ifc) and stages (.usd) are
+    meshes, see docs/reference/room.md. From a mesh (also .obj, .stl, .off, .glb, .gltf, and .ply
+    with faces) 300,000 points, or ``max_points``, are sampled evenly by area and always the same.
+    They lie on the sides of the faces that are visible from the air of the room, see
+    :mod:`ocp_ros.scenes.inner_surface`, with the normals of these sides.
 
-    :param path: a scan or mesh with a suffix of ``READERS``. The name of the room is the stem of
+    :param path: a scan or mesh with one of the ``SUFFIXES``. The name of the room is the stem of
         the file, and ``Area_1_office_1`` for an S3DIS room ``Area_1/office_1/office_1.txt``.
     :param voxel_size: edge of the cubes whose points are merged, metres; 0 merges none.
     :param max_points: the largest number of points if no voxel size is given; 0 for all of them.
@@ -105,6 +108,7 @@ def load_scene(path, *, voxel_size: float = 0.0, max_points: int = 0, scale: flo
     :param drop_nonfinite: leave out points with NaN or inf instead of refusing the file.
     :param all_rooms: keep the parts of other rooms that are visible through openings such as
         doors; see :mod:`ocp_ros.scenes.main_room`.
+    :param height: see :class:`~ocp_ros.scenes.building_files.Building`, as for the last four.
     :returns: the scene, in metres, z up.
     :raises SceneError: if the file or an option cannot be used; the message names the file.
     """
@@ -113,8 +117,9 @@ def load_scene(path, *, voxel_size: float = 0.0, max_points: int = 0, scale: flo
                          'points in memory scene_of makes a room')
     path = Path(path)
     _check_options(path.name, voxel_size, max_points, scale, up, from_file=True)
-    rows, corners = _read_rows(path)
-    return _make_scene(rows, path.name, _scene_name(path), declared_by(path), corners,
+    rows, corners, declared = _read_rows(
+        path, Building(height, layers, storey, space, open_doors), scale)
+    return _make_scene(rows, path.name, _scene_name(path), declared, corners,
                        voxel_size=voxel_size, max_points=max_points, scale=scale, up=up,
                        drop_nonfinite=drop_nonfinite, all_rooms=all_rooms)
 
@@ -384,8 +389,7 @@ def scans_in(folder: str | Path) -> list[Path]:
     Meshes that :func:`save_scene` wrote beside their rooms and hidden files are left out.
     """
     scans = sorted(path for path in Path(folder).glob('*')
-                   if path.suffix.lower() in {*READERS}.difference(MEASURED)
-                   and not path.name.startswith('.'))
+                   if path.suffix.lower() in READERS and not path.name.startswith('.'))
     meshes = set(map(mesh_of, scans))
     return [path for path in scans if path not in meshes]
 
@@ -396,16 +400,16 @@ def check_file(path: Path) -> None:
 
     :raises SceneError: if the path is something else.
     """
-    suffixes = sorted(READERS)
+    suffixes = sorted(SUFFIXES)
     if not path.exists():
         raise SceneError(f'{path}: found no such file; expected one of {" ".join(suffixes)}; '
                          'check the path')
     if not path.is_file():
-        scans = [item.name for item in path.glob('*') if item.suffix.lower() in READERS]
+        scans = [item.name for item in path.glob('*') if item.suffix.lower() in SUFFIXES]
         hint = f'such as {min(scans)}' if scans else f'one of {" ".join(suffixes)}'
         raise SceneError(f'{path}: found a folder or device; expected a file; give the path of a '
                          f'file, {hint}')
-    if path.suffix.lower() not in READERS:
+    if path.suffix.lower() not in SUFFIXES:
         similar = difflib.get_close_matches(path.suffix.lower(), suffixes, n=1)
         hint = ('export it as STL or glTF (.glb) from the program that made it'
                 if path.suffix.lower() in MODELS else f'did you mean {similar[0]}?' if similar else
@@ -452,21 +456,22 @@ def _scene_name(path: Path) -> str:
     return printable(f'{area}_{room}' if is_s3dis else path.stem)
 
 
-def _read_rows(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
+def _read_rows(path: Path, building: Building = EVERYTHING, scale: float = 0.0
+               ) -> tuple[np.ndarray, np.ndarray | None, Declared]:
     """
-    Read a file with its reader in ``READERS``; turn all errors into a SceneError.
+    Read a file; turn all errors into a SceneError.
 
-    :returns: points (N, 3), or points and normals (N, 6); and the corners (T, 3, 3) of the
-        triangles of the mesh that the points lie on, or None.
+    :returns: points (N, 3), or points and normals (N, 6); the corners (T, 3, 3) of the triangles
+        of the mesh that the points lie on, or None; and what the file declares.
     """
     try:
         check_file(path)
-        rows = READERS[path.suffix.lower()](path)
+        rows, declared = read_file(path, building, scale)
         # Nine columns are the corners of triangles.
         if rows.shape[1] < 9:
-            return rows, None
+            return rows, None, declared
         corners = rows.reshape(-1, 3, 3)
-        return sample_faces(corners, COARSE_SAMPLES), corners
+        return sample_faces(corners, COARSE_SAMPLES), corners, declared
     except UserError as error:
         raise SceneError(str(error)) from error
     except ImportError as error:

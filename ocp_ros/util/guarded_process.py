@@ -190,14 +190,16 @@ def allow_seconds(seconds: int) -> None:
     resource.setrlimit(resource.RLIMIT_CPU, (int(time.process_time()) + seconds, hard_limit))
 
 
-def confine(files: Iterable[str | Path], folder: str | Path | None = None) -> None:
+def confine(files: Iterable[str | Path], folder: str | Path | None = None,
+            readable_folders: Iterable[str | Path] = ()) -> None:
     """
-    Restrict this process to reading some files and writing to one folder.
+    Restrict this process to reading some files and folders, and writing to one folder.
 
     Open files and imported modules stay usable. Call this function while there is one thread.
 
     :param files: the files that may be read; the targets of links count.
     :param folder: the folder that may be written to; None if no folder may.
+    :param readable_folders: folders of which all files may be read, such as those of libraries.
     """
     # Option 38 of prctl(2): started programs get no more rights than this process. Landlock and
     # seccomp require this option.
@@ -206,7 +208,9 @@ def confine(files: Iterable[str | Path], folder: str | Path | None = None) -> No
     # remove folders (4) and files (5), make folders (7) and files (8), truncate files (14).
     read_file = 1 << 2
     use_folder = 1 << 1 | read_file | 1 << 3 | 1 << 4 | 1 << 5 | 1 << 7 | 1 << 8 | 1 << 14
-    _allow_files(dict.fromkeys(files, read_file) | ({folder: use_folder} if folder else {}))
+    read_folder = read_file | 1 << 3
+    _allow_files(dict.fromkeys(files, read_file) | dict.fromkeys(readable_folders, read_folder)
+                 | ({folder: use_folder} if folder else {}))
     _refuse_calls()
 
 

@@ -252,7 +252,7 @@ REFUSED = {
     'room.pdc': (lambda path: files.write_text(path, ROOM), 'did you mean .pcd'),
     'room.step': (lambda path: files.write_text(path, ROOM), 'as STL or glTF'),
     'room.rcp': (lambda path: files.write_text(path, ROOM), 'CloudCompare'),
-    'room': (lambda path: files.write_text(path, ROOM), '.csv .e57 .glb'),
+    'room': (lambda path: files.write_text(path, ROOM), '.csv .dxf .e57 .glb'),
     'without coordinates.csv': (
         lambda path: write_table(path, ROOM, ',', 'range,azimuth,elevation'), 'azimuth'),
     'wrong count.pts': (lambda path: write_table(path, ROOM, ' ', str(len(ROOM) + 5)),
