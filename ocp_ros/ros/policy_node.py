@@ -201,8 +201,8 @@ class PolicyNode(ManagedNode):
             self._rig_view.models = self.decider.models
         self.source.apply_config()
 
-    def set_turn(self, episode: int, step: int, is_last: bool, answered_poses: PoseArray | None
-                 ) -> None:
+    def set_turn(self, episode: int, step: int, is_last: bool,
+                 answered_poses: PoseArray | None = None) -> None:
         """
         Take the data of a turn from a simulation.
 

@@ -191,7 +191,10 @@ class TransitionSource:
             raise MessageError(f'reward: found reward and shares from {min(rewards):g} to '
                                f'{max(rewards):g}; expected finite numbers within {max_reward:g}')
         if fields.get('truncated') and self._first_error:
-            self.error_ratios.append(fields['depth_error'] / self._first_error)
+            ratio = fields.get('depth_error', np.nan) / self._first_error
+            # These fields are not needed for the training, so they may be missing or wrong.
+            if np.isfinite(ratio):
+                self.error_ratios.append(ratio)
             # The last turn may be sent again.
             self._first_error = None
         return self.assembler.add_reward(Reward(

@@ -42,7 +42,7 @@ from ocp_ros.ros.interface.conversions import (
 )
 from ocp_ros.ros.policy.decider import make_planner
 from ocp_ros.ros.policy.policy_config import PLANNERS
-from ocp_ros.ros.policy.simulated_turns import MAX_STORED_POSES
+from ocp_ros.ros.policy.simulated_turns import MAX_STORED
 from ocp_ros.ros.policy_node import has_message, PolicyNode
 from ocp_ros.ros.sim_node import SimNode
 from ocp_ros.scenes.scene_files import save_scene
@@ -77,7 +77,7 @@ def robot(probe, model, room):
 
     def say(stamp, **fields):
         probe.rewards.publish(reward(stamp, **fields))
-        probe.graph.until(lambda: probe.policy.source.reward_stamp == stamp)
+        probe.graph.until(lambda: stamp in probe.policy.source.rewards)
 
     probe.start, probe.play_turns, probe.say = start, play, say
     return probe
@@ -114,7 +114,7 @@ def test_a_turn_is_answered_whose_parts_are_never_the_latest_together(robot, roo
     robot.command(5)
     # Parts of different turns are no turn.
     assert counted(policy, 'turns_answered') == 1
-    assert len(turns.poses) <= MAX_STORED_POSES
+    assert len(turns.poses) <= MAX_STORED
     # What was not answered is older than what was, and forgotten.
     robot.play_turns(50)
     assert list(turns.poses) == [50]
@@ -306,6 +306,7 @@ def test_an_episode_goes_on_when_its_first_turn_is_sent_again(robot, monkeypatch
         robot.say(stamp, step=step)
         robot.play_turns(stamp)
     robot.say(3, episode=2, step=0)
+    robot.play_turns(3)
     assert resets == [0, 2]
 
 
@@ -337,6 +338,14 @@ def test_the_placement_is_final_when_the_simulation_says_that_it_was_the_last_tu
     placement = robot.last(topics.PLACEMENT)
     assert stamp_to_ns(placement.header.stamp) == 1
     np.testing.assert_allclose(msg_to_positions(placement), POSITIONS)
+
+
+@pytest.mark.parametrize('lie', [{'truncated': True}, {'step': 10 ** 9}])
+def test_rewards_of_no_turn_end_no_episode(robot, lie):
+    policy = robot.start(turns=30)
+    robot.say(10 ** 9, **lie)
+    assert not np.allclose(robot.play_turns(1), POSITIONS)
+    assert not policy.convergence.is_final and counted(policy, 'step') == 1
 
 
 def test_weights_are_swapped_in_whole_and_refused_if_they_cannot_be_used(

@@ -110,12 +110,13 @@ class Loop:
         """Send where the cameras are."""
         self.poses.publish(positions_to_msg(at, header_at(stamp)))
 
-    def reward(self, previous, stamp, step=1.0, shares=(0.2, 0.3)):
-        """Send what a turn was worth."""
+    def reward(self, previous, stamp, step=1.0, shares=(0.2, 0.3), **others):
+        """Send what a turn was worth; fields that are None are left out."""
         values = dict.fromkeys(topics.REWARD_FIELDS, 0.0)
         values |= {'previous_nanosec': previous, 'stamp_nanosec': stamp, 'step': step,
                    'reward': sum(shares)}
         values |= {topics.share_field(number): share for number, share in enumerate(shares)}
+        values = {key: value for key, value in {**values, **others}.items() if value is not None}
         self.rewards.publish(fields_to_msg(values))
 
     def turn(self, stamp, first=1):
@@ -228,6 +229,14 @@ def test_stamps_may_begin_anew(loop):
         loop.experience(stamp, stamp - 1)
         loop.pose(stamp)
     loop.graph.until(lambda: loop.source.assembler.assembled == 3)
+
+
+def test_the_errors_of_an_episode_may_be_missing(loop):
+    errors = ((1.0, None), (0.5, np.inf), (np.nan, 1.0), (None, 1.0), (2.0, 1.0))
+    for stamp, error in enumerate(np.ravel(errors), start=1):
+        loop.reward(stamp - 1, stamp, (stamp - 1) % 2, depth_error=error, truncated=1.0)
+        loop.graph.until(lambda at=stamp: loop.source._newest_stamp == at)
+    assert list(loop.source.error_ratios) == [0.5]
 
 
 def test_many_policies_are_learned_from_counted_and_told(graph, probe, start):

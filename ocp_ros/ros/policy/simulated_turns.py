@@ -14,7 +14,7 @@
 
 """Turns of a simulation: an observation and poses with the same stamp make a turn."""
 
-from typing import TYPE_CHECKING
+from typing import Any, TYPE_CHECKING
 
 from geometry_msgs.msg import PoseArray
 from ocp_ros.ros.interface import topics
@@ -34,9 +34,9 @@ from std_msgs.msg import Float64MultiArray
 if TYPE_CHECKING:
     from ocp_ros.ros.policy_node import PolicyNode
 
-#: Number of poses that are kept: the poses of a turn and its observation may arrive far apart if
+#: Number of poses and of rewards that are kept: the messages of a turn may arrive far apart if
 #: other nodes publish as well and this node is slow.
-MAX_STORED_POSES = 16
+MAX_STORED = 16
 
 
 class SimulatedTurns(TurnSource):
@@ -51,8 +51,8 @@ class SimulatedTurns(TurnSource):
         self.poses: dict[int, PoseArray] = {}
         #: The latest command.
         self.answer: PoseArray | None = None
-        #: Stamp of the latest reward, nanoseconds.
-        self.reward_stamp: int | None = None
+        #: Episode, step and whether it is the last one, of turns by their stamps like ``poses``.
+        self.rewards: dict[int, tuple[int, int, bool]] = {}
         #: False once the wait for the reward of the present turn has timed out.
         self._may_wait = True
         # If the turn before had a reward, the next reward is awaited for 0.25 s: messages of
@@ -65,7 +65,7 @@ class SimulatedTurns(TurnSource):
         node.create_subscription(PointCloud2, topics.OBSERVATION, self.on_cloud, LOOP)
 
     def on_reward(self, message: Float64MultiArray) -> None:
-        """Give the node the data of a turn, and answer the turn if it has waited for them."""
+        """Store the data of a turn, and answer the turn if it has waited for them."""
         try:
             fields = msg_to_fields(
                 message, ('stamp_sec', 'stamp_nanosec', 'episode', 'step', 'truncated'))
@@ -73,17 +73,15 @@ class SimulatedTurns(TurnSource):
             self._node.refuse(error)
             return
         stamp = ns_of(fields, 'stamp')
-        if stamp == self.reward_stamp:
+        turn = int(fields['episode']), int(fields['step']), bool(fields['truncated'])
+        if self.rewards.get(stamp) == turn:
             # The turn was sent again: it must not begin its episode for a second time.
             return
-        self.reward_stamp = stamp
-        answered = self.answer is not None and stamp_to_ns(self.answer.header.stamp) == stamp
-        # ``poses`` always has the poses of the answered turn: only other poses are dropped.
-        self._node.set_turn(int(fields['episode']), int(fields['step']),
-                            is_last=bool(fields['truncated']),
-                            answered_poses=self.poses[stamp] if answered else None)
-        if not answered and self.cloud is not None \
-                and stamp_to_ns(self.cloud.header.stamp) == stamp:
+        self._store(self.rewards, stamp, turn)
+        if stamp == self._answered_stamp:
+            # ``poses`` always has the poses of the answered turn: only other poses are dropped.
+            self._node.set_turn(*turn, self.poses[stamp])
+        elif self.cloud is not None and stamp_to_ns(self.cloud.header.stamp) == stamp:
             self.answer_if_ready()
 
     def on_cloud(self, message: PointCloud2) -> None:
@@ -93,13 +91,19 @@ class SimulatedTurns(TurnSource):
 
     def on_poses(self, message: PoseArray) -> None:
         """Store the poses, and answer the turn if its observation is here."""
-        stamp = stamp_to_ns(message.header.stamp)
-        self.poses[stamp] = message
-        if len(self.poses) > MAX_STORED_POSES:
-            # Drop the oldest poses, but not those of the answered turn, which its reward needs.
-            answered_stamp = None if self.answer is None else stamp_to_ns(self.answer.header.stamp)
-            del self.poses[next(old for old in self.poses if old != answered_stamp)]
+        self._store(self.poses, stamp_to_ns(message.header.stamp), message)
         self.answer_if_ready()
+
+    @property
+    def _answered_stamp(self) -> int | None:
+        """Return the stamp of the turn answered last, nanoseconds; None before the first one."""
+        return None if self.answer is None else stamp_to_ns(self.answer.header.stamp)
+
+    def _store(self, messages: dict[int, Any], stamp: int, message: Any) -> None:
+        """Store a message, and drop the oldest, but not that of the answered turn."""
+        messages[stamp] = message
+        if len(messages) > MAX_STORED:
+            del messages[next(old for old in messages if old != self._answered_stamp)]
 
     def answer_if_ready(self) -> None:
         """Answer a turn if both its messages are here; a repeated turn gets the same answer."""
@@ -116,10 +120,14 @@ class SimulatedTurns(TurnSource):
                 if cloud.header.frame_id != poses.header.frame_id:
                     raise MessageError(f'cloud: found the frame {cloud.header.frame_id!r}; '
                                        f'expected that of the poses, {poses.header.frame_id!r}')
+                # Only now: a reward of no turn, or of another simulation, changes nothing.
+                if stamp in self.rewards:
+                    self._node.set_turn(*self.rewards[stamp])
                 self.answer = self._node.decide(msg_to_cloud(cloud), poses)
-                # The poses that came before those of this turn are not needed any more.
-                while next(iter(self.poses)) != stamp:
-                    del self.poses[next(iter(self.poses))]
+                # The messages that came before those of this turn are not needed any more.
+                for messages in (self.poses, self.rewards):
+                    while stamp in messages and next(iter(messages)) != stamp:
+                        del messages[next(iter(messages))]
             except MessageError as error:
                 self._node.refuse(error)
                 return
@@ -128,11 +136,9 @@ class SimulatedTurns(TurnSource):
 
     def _update_wait_for_reward(self, stamp: int) -> bool:
         """Start or stop the wait for the reward of a turn; return whether to wait."""
-        answered_stamp = None if self.answer is None else stamp_to_ns(self.answer.header.stamp)
         # Wait only if the turn answered last had a reward, this turn has none yet, and the wait
         # for it has not timed out.
-        if self.reward_stamp in (None, stamp) or self.reward_stamp != answered_stamp \
-                or not self._may_wait:
+        if stamp in self.rewards or self._answered_stamp not in self.rewards or not self._may_wait:
             self._reward_timer.cancel()
             self._may_wait = True
             return False
