@@ -44,16 +44,19 @@ def stamped(figures: Mapping[str, Any], command: str) -> dict[str, Any]:
             **figures}
 
 
-def write(name: str, figures: Mapping[str, Any], command: str) -> None:
+def write(name: str, figures: Mapping[str, Any], command: str, part: str = '') -> None:
     """
     Write ``docs/results/NAME.json``, and print that it was written.
 
     :param figures: plain data; a key ``date`` replaces the date of today.
     :param command: that measures them again.
+    :param part: key of the figures in the file, whose other keys stay; the whole file if empty.
     """
     path = FOLDER / f'{name}.json'
-    write_atomically(path, json.dumps(stamped(figures, command), indent=1, ensure_ascii=False)
-                     + '\n')
+    content = stamped(figures, command)
+    if part:
+        content = {**json.loads(path.read_bytes()), part: content}
+    write_atomically(path, json.dumps(content, indent=1, ensure_ascii=False) + '\n')
     print(f'wrote {path}')
 
 

@@ -50,7 +50,8 @@ def rss_of(pid: int) -> float:
 
 
 def run_drill(name: str, options: argparse.Namespace, argv: Sequence[str] | None,
-              play: Callable[[argparse.Namespace, int, Watch], dict[str, Any]]) -> int:
+              play: Callable[[argparse.Namespace, int, Watch], dict[str, Any]],
+              part: str = '') -> int:
     """
     Run a drill, write ``NAME.json`` into its folder, and record it where that is asked for.
 
@@ -59,11 +60,12 @@ def run_drill(name: str, options: argparse.Namespace, argv: Sequence[str] | None
     :param argv: the command line, None for that of this process.
     :param play: gets the options, the ROS domain and who watches; returns the figures, with the
         key ``faults`` for what went wrong.
+    :param part: key of the figures in ``docs/results/drills.json``; the name if empty.
     :returns: the exit code: 2 if something went wrong.
     """
     code = run_watched(name, options.out, lambda domain, watch: play(options, domain, watch),
                        lambda figures: print(json.dumps(figures, indent=2)))
     if options.record and code == 0:
         figures = json.loads((options.out / f'{name}.json').read_bytes())
-        results.write(name, figures, results.command_of(f'drills.{name}', argv))
+        results.write('drills', figures, results.command_of(f'drills.{name}', argv), part or name)
     return code

@@ -318,7 +318,7 @@ def parser():
     top.add_argument('--seed', type=int, default=0, help='of the moments and the order')
     top.add_argument('--out', type=Path, default=Path('out/endings'),
                      help='folder for endings.json and for what crashed nodes leave; made anew')
-    results.add_record(top, 'endings')
+    results.add_record(top, 'drills')
     return top
 
 
@@ -352,7 +352,7 @@ def main(args: list[str] | None = None) -> int:
     (options.out / 'endings.json').write_text(json.dumps(result, indent=2) + '\n')
     print(json.dumps(result, indent=2))
     if options.record:
-        results.write('endings', result, results.command_of('drills.endings', args))
+        results.write('drills', result, results.command_of('drills.endings', args), 'endings')
     return int(bool(faults) or any(code for _, code in codes))
 
 

@@ -527,7 +527,7 @@ def parser() -> argparse.ArgumentParser:
     top.add_argument('--formats', nargs='*', help='names such as las.las; all unless named')
     top.add_argument('--jobs', type=int, default=1, help='formats at once')
     top.add_argument('--out', type=Path, default=Path('out'), help='folder for the results')
-    results.add_record(top, 'file_fuzz')
+    results.add_record(top, 'drills')
     return top
 
 
@@ -549,8 +549,9 @@ def main(args: list[str] | None = None) -> int:
     options.out.mkdir(parents=True, exist_ok=True)
     (options.out / 'file_fuzz.json').write_text(json.dumps(found, indent=1) + '\n')
     if options.record:
-        results.write('file_fuzz', {'formats': found},
-                      results.command_of('drills.file_fuzz', args))
+        totals = {key: sum(one[key] for one in found) for key in ('mutations', *OUTCOMES)}
+        results.write('drills', {**totals, 'formats': found},
+                      results.command_of('drills.file_fuzz', args), 'file_fuzz')
     return 2 if any(one[outcome] for one in found for outcome in OUTCOMES[2:]) else 0
 
 

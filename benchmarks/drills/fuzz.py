@@ -626,7 +626,7 @@ def parser() -> argparse.ArgumentParser:
     top.add_argument('--seed', type=int, default=0, help='of everything')
     top.add_argument('--points', type=int, default=5_000_000, help='of one huge cloud')
     top.add_argument('--out', type=Path, default=Path('out'), help='folder for the results')
-    results.add_record(top, 'fuzz')
+    results.add_record(top, 'drills')
     return top
 
 

@@ -135,8 +135,9 @@ def main(args: list[str] | None = None) -> int:
     top.add_argument('--minutes', type=float, default=10.0, help='after the placement')
     top.add_argument('--seed', type=int, default=1, help='of the room')
     top.add_argument('--out', type=Path, default=Path('out'), help='folder for the results')
-    results.add_record(top, 'hold_soak')
-    return run_drill('hold_soak', top.parse_args(args), args, play)
+    results.add_record(top, 'drills')
+    options = top.parse_args(args)
+    return run_drill('hold_soak', options, args, play, f'hold_{100.0 * options.noise:g}cm')
 
 
 if __name__ == '__main__':

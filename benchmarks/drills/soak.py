@@ -251,7 +251,7 @@ def parser() -> argparse.ArgumentParser:
                      help='seconds in which the loop has to go on after a kill')
     top.add_argument('--seed', type=int, default=0, help='of the times, the nodes and the lies')
     top.add_argument('--out', type=Path, default=Path('out'), help='folder for the results')
-    results.add_record(top, 'soak')
+    results.add_record(top, 'drills')
     return top
 
 
