@@ -27,6 +27,7 @@ from typing import Any, NamedTuple
 
 from ocp_ros.report.assessment import Assessment
 from ocp_ros.report.camera_words import camera_label
+from ocp_ros.report.findings import MIN_SEEN_SHARE
 from ocp_ros.report.rig_planning import gap_percent
 from ocp_ros.rig.placement_file import ANGLES
 from ocp_ros.search.registry import OBSERVED, planner_names
@@ -36,6 +37,8 @@ from ocp_ros.util.terminal_text import printable
 FOLDER_PATTERN = re.compile(r'(?<![^=])[^=]*/(?=[^/])')
 #: Column heads of the table of regions.
 REGION_COLUMNS = ('region', 'seen', 'required', 'satisfied')
+#: Column heads of the table of rooms.
+ROOM_COLUMNS = ('room', 'area', 'around (x, y)', 'cameras', 'seen')
 #: By the key of a share that cameras reach: its column head, and its denominator in a sentence.
 SHARE_LABELS = {'seen': ('of visible points', 'points that can be seen'),
                 'coverage': ('of reachable space', 'space that can be covered'),
@@ -79,6 +82,8 @@ class Facts:
     :ivar figures: the key figures.
     :ivar cameras: the facts of each camera.
     :ivar regions: for each region its row of the table with :data:`REGION_COLUMNS`.
+    :ivar rooms: for each room of a floor its row of the table with :data:`ROOM_COLUMNS`, and
+        whether cameras see it; empty for one room.
     :ivar links: pairs of cameras that can be calibrated to each other; '' if not required.
     :ivar certificate: a sentence on the optimality gap; '' if the placement was not planned.
     """
@@ -89,6 +94,7 @@ class Facts:
     figures: list[Figure]
     cameras: list[CameraFacts]
     regions: list[tuple[str, ...]]
+    rooms: list[tuple[tuple[str, ...], bool]]
     links: str
     certificate: str
 
@@ -135,7 +141,7 @@ def facts_of(findings: Mapping[str, Any]) -> Facts:
     certificate = findings['search']['certificate']['sentence'] if 'search' in findings else ''
     links = links_line(scores['calibratable']) if 'calibratable' in scores else ''
     return Facts(verdict, not (broken or doubts), doubts, _figures(findings), cameras,
-                 region_rows(scores), links, certificate)
+                 region_rows(scores), room_rows(scores), links, certificate)
 
 
 def region_rows(scores: Mapping[str, Any]) -> list[tuple[str, ...]]:
@@ -143,6 +149,13 @@ def region_rows(scores: Mapping[str, Any]) -> list[tuple[str, ...]]:
     return [(region['name'], f'{percent(region["seen"])} of its {region["of"]}',
              percent(region['must_see']), 'yes' if region['met'] else 'no')
             for region in scores['regions']]
+
+
+def room_rows(scores: Mapping[str, Any]) -> list[tuple[tuple[str, ...], bool]]:
+    """Return for each room of a floor its row, and whether more than 0 % of it are seen."""
+    return [((room['name'], f'{room["area"]:.1f} m²', '{:.1f}, {:.1f}'.format(*room['at']),
+              str(room['cameras']), percent(room['seen'])), room['seen'] >= MIN_SEEN_SHARE)
+            for room in scores.get('rooms', ())]
 
 
 def page_facts_of(assessed: Assessment) -> PageFacts:
@@ -279,7 +292,7 @@ def quality_lines(findings: Mapping[str, Any]) -> Iterator[str]:
                'candidate')
     yield (f'{search["certificate"]["sentence"]} This is about the viewpoints of the search: the '
            f'depth error is {metres(findings["scores"]["depth_error"])} there and '
-           f'{metres(findings["scores"]["validation_error"])} on 64 others.')
+           f'{metres(findings["scores"]["validation_error"])} on others.')
 
 
 def count_sentence(count: Mapping[str, Any]) -> str:

@@ -38,6 +38,9 @@ from ocp_ros.simulation.problem import Problem
 from ocp_ros.simulation.simulator import View
 from ocp_ros.util.settings import ConfigurationError
 
+#: A smaller seen share of a room is written as 0 %.
+MIN_SEEN_SHARE = 0.005
+
 
 def evaluate_placement(problem: Problem, poses: np.ndarray) -> dict[str, Any]:
     """
@@ -62,7 +65,8 @@ def evaluate_placement(problem: Problem, poses: np.ndarray) -> dict[str, Any]:
             'notes': [*problem.region.fixed_notes(),
                       *angle_notes(fixed_angles, problem.rig.models), *room_notes(scene),
                       *missing_surface_notes(missing), *scene.notes,
-                      *_missed_notes(improvement['missed']['share'])],
+                      *_missed_notes(improvement['missed']['share']),
+                      *_unseen_room_notes(scores.get('rooms', ()))],
             'remarks': list(scene.remarks)}
 
 
@@ -71,6 +75,14 @@ def _missed_notes(share: float) -> list[str]:
     return [] if share <= 0.9 else [
         f'found {100.0 * share:.0f} % of the points seen by too few cameras; expected most of '
         'them seen; use more cameras, or of longer range']
+
+
+def _unseen_room_notes(rooms: Sequence[dict[str, Any]]) -> list[str]:
+    """Return a note if the cameras see 0 % of some rooms of a floor."""
+    names = [room['name'] for room in rooms if room['seen'] < MIN_SEEN_SHARE]
+    return [] if not names else [
+        f'found {len(names)} of {len(rooms)} rooms that the cameras do not see ('
+        f'{", ".join(names)}); expected all seen; use more cameras, or a scan without these rooms']
 
 
 def scores_of(objective: Objective, views: Sequence[View]) -> dict[str, Any]:
@@ -109,7 +121,26 @@ def rig_scores(objective: Objective, views: Sequence[View], evaluation: RigEvalu
         'regions': [{'name': region.name, 'of': region.parts, 'seen': float(share),
                      'must_see': region.must_see, 'weight': region.weight,
                      'met': bool(share >= region.must_see)}
-                    for region, share in zip(rig.regions, evaluation.regions)]}
+                    for region, share in zip(rig.regions, evaluation.regions)],
+        **_room_scores(objective, views, evaluation)}
+
+
+def _room_scores(objective: Objective, views: Sequence[View], evaluation: RigEvaluation
+                 ) -> dict[str, Any]:
+    """Return the cameras in each room of a floor, and the seen share; {} for one room."""
+    scene = objective.simulator.scene
+    if (rooms := scene.rooms) is None:
+        return {}
+    room_of_point = rooms.at(scene.points)
+    positions = [view.position for view in (*views, *objective.fixed) if view.position is not None]
+    counts = [np.bincount(numbers, minlength=rooms.count + 1)[1:] for numbers in (
+        rooms.at(np.reshape(positions, (-1, 3))), room_of_point,
+        room_of_point[evaluation.seen.mask])]
+    return {'rooms': [
+        {'name': f'room {number}', 'area': float(area), 'at': np.round(centre, 2).tolist(),
+         'cameras': int(cameras), 'seen': float(seen / max(points, 1))}
+        for number, (area, centre, cameras, points, seen) in enumerate(
+            zip(rooms.areas, rooms.middles, *counts), start=1)]}
 
 
 def _calibration_links(objective: Objective, views: Sequence[View]) -> dict[str, Any]:

@@ -16,6 +16,7 @@
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 import io
+from itertools import repeat
 from typing import Any
 
 from ocp_ros.report.camera_words import INSTRUCTION_COLUMNS
@@ -27,6 +28,7 @@ from ocp_ros.report.facts import (
     percent,
     quality_lines,
     REGION_COLUMNS,
+    ROOM_COLUMNS,
     SHARE_LABELS,
 )
 from ocp_ros.report.room_facts import room_rows
@@ -52,13 +54,17 @@ def as_text(show: Callable[[Console, Mapping[str, Any]], None], data: Mapping[st
 
 
 def print_table(console: Console, title: str | None, columns: Sequence[str],
-                rows: Iterable[Sequence[str]]) -> None:
-    """Print a table; it has no head if the names of all columns are empty."""
+                rows: Iterable[Sequence[str]], is_good: Iterable[bool] = ()) -> None:
+    """
+    Print a table; it has no head if the names of all columns are empty.
+
+    :param is_good: for each row whether it is as it should be, the others are red; empty for all.
+    """
     table = Table(title=title and escape(printable(title)), show_header=any(columns))
     for name in columns:
         table.add_column(escape(printable(name)), no_wrap=name == 'camera', overflow='fold')
-    for row in rows:
-        table.add_row(*(escape(printable(cell)) for cell in row))
+    for row, good in zip(rows, is_good or repeat(True)):
+        table.add_row(*(escape(printable(cell)) for cell in row), style=None if good else 'red')
     console.print(table)
 
 
@@ -71,6 +77,8 @@ def show_score(console: Console, findings: Mapping[str, Any]) -> None:
     print_table(console, 'Key figures', ('', '', ''), facts.figures)
     if facts.regions:
         print_table(console, 'Regions', REGION_COLUMNS, facts.regions)
+    if facts.rooms:
+        print_table(console, 'Rooms', ROOM_COLUMNS, *zip(*facts.rooms))
     for line in filter(None, [*details_of(findings), facts.links]):
         console.print(line)
     console.print(facts.verdict + (':' if findings['broken'] else ''))

@@ -17,6 +17,7 @@
 from base64 import b64encode
 from collections.abc import Iterator, Sequence
 from html import escape
+from itertools import repeat
 import json
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -42,7 +43,7 @@ from ocp_ros.report.drawing.room_drawing import (
     PLAIN_COLOUR,
     room_of,
 )
-from ocp_ros.report.facts import page_facts_of, REGION_COLUMNS
+from ocp_ros.report.facts import page_facts_of, REGION_COLUMNS, ROOM_COLUMNS
 from ocp_ros.rig.zones import Zone
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.util.files import write_atomically
@@ -345,6 +346,8 @@ def tables_of(assessed: Assessment) -> Iterator[str]:
                                 f'z are {facts.frame}.')
     if facts.regions:
         yield '<h2>Regions</h2>' + _html_table(REGION_COLUMNS, facts.regions)
+    if facts.rooms:
+        yield '<h2>Rooms</h2>' + _html_table(ROOM_COLUMNS, *zip(*facts.rooms))
     yield from _html_paragraphs(facts.links, facts.origin, facts.meaning)
 
 
@@ -359,9 +362,16 @@ def _html_list(texts: Sequence[str]) -> Iterator[str]:
         yield '<ul>' + ''.join(f'<li>{escape(text)}</li>' for text in texts) + '</ul>'
 
 
-def _html_table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Return a table as HTML; without a head if the names of all columns are empty."""
-    lines = [f'<tr>{"".join(f"<td>{escape(cell)}</td>" for cell in row)}</tr>' for row in rows]
+def _html_table(columns: Sequence[str], rows: Sequence[Sequence[str]],
+                is_good: Sequence[bool] = ()) -> str:
+    """
+    Return a table as HTML; without a head if the names of all columns are empty.
+
+    :param is_good: for each row whether it is as it should be, the others are red; empty for all.
+    """
+    lines = [f'<tr{"" if good else " class=bad"}>'
+             f'{"".join(f"<td>{escape(cell)}</td>" for cell in row)}</tr>'
+             for row, good in zip(rows, is_good or repeat(True))]
     if any(columns):
         lines.insert(0, f'<tr>{"".join(f"<th>{escape(name)}</th>" for name in columns)}</tr>')
     return f'<table>{"".join(lines)}</table>'

@@ -405,6 +405,8 @@ class Air:
     """
     The air of a room: the largest connected space through which a ball can be moved.
 
+    The air of a floor is that of all its rooms, since doors may be closed.
+
     The remaining space is inside or behind furniture. The distance to the nearest point does not
     separate inside from outside, since scans show only the outside of objects.
 
@@ -431,6 +433,12 @@ class Air:
         parts, count = ndimage.label(free)
         largest = int(np.argmax(np.bincount(parts.ravel())[1:])) + 1 if count else -1
         self._free = parts == largest
+        if scene.rooms is not None and count:
+            columns = scene.rooms.at(centres_xy.reshape(-1, 2)).reshape(shape[:2])
+            for room in range(1, scene.rooms.count + 1):
+                sizes = np.bincount(parts[columns == room].ravel(), minlength=2)
+                # The largest part in the room; 0 is what is not free.
+                self._free |= parts == int(np.argmax(sizes[1:])) + 1
         # The distance of each cell from the air, metres; 0 if there is no air, so that no position
         # counts as closed.
         self._distance = (edge * ndimage.distance_transform_edt(~self._free) if count

@@ -25,7 +25,7 @@ import numpy as np
 from ocp_ros import __version__
 from ocp_ros.rooms.generator import generate_room
 from ocp_ros.scenes.building_files import Building
-from ocp_ros.scenes.scene import Mesh, Scene, SceneError, turned
+from ocp_ros.scenes.scene import Mesh, Rooms, Scene, SceneError, turned
 from ocp_ros.scenes.scene_files import load_scene
 from ocp_ros.scenes.source_frame import BY_FILE, SourceFrame, UP_CHOICES
 from ocp_ros.util.files import cache_folder, sha256_of_file, write_atomically
@@ -38,7 +38,7 @@ ROOM_POINTS = 60_000
 #: The least size in bytes of a file whose scene is cached: smaller files are read as fast.
 MIN_CACHED_BYTES = 4_000_000
 #: The version of the cache format; raise it when reading a file gives another result.
-CACHE_VERSION = 4
+CACHE_VERSION = 5
 
 
 @dataclass(frozen=True)
@@ -167,9 +167,11 @@ def load_cached(path: str | Path, **options) -> Scene:
             source = SourceFrame(arrays['scales'], arrays['rotation'], arrays['shift'])
             mesh = None if 'vertices' not in arrays else Mesh(
                 arrays['vertices'], arrays['triangles'], bool(arrays['exact']))
+            rooms = None if 'rooms' not in arrays else Rooms(
+                arrays['rooms'], float(arrays['rooms_edge']), arrays['rooms_corner'])
             scene = Scene(arrays['points'], str(arrays['name']), arrays.get('normals'), mesh,
                           source, notes=tuple(map(str, arrays['notes'])),
-                          remarks=tuple(map(str, arrays['remarks'])))
+                          remarks=tuple(map(str, arrays['remarks'])), rooms=rooms)
             return scene if 'survey_points' not in arrays else replace(scene, survey=replace(
                 scene, points=arrays['survey_points'], normals=arrays.get('survey_normals')))
     except (OSError, ValueError, KeyError, TypeError, EOFError, BadZipFile):
@@ -192,6 +194,10 @@ def _write_to_cache(path: Path, scene: Scene) -> None:
     if scene.mesh is not None:
         arrays |= {'vertices': scene.mesh.vertices, 'triangles': scene.mesh.triangles,
                    'exact': np.array(scene.mesh.exact)}
+    if scene.rooms is not None:
+        # The plan of rooms that are read lies along the axes of the map.
+        arrays |= {'rooms': scene.rooms.numbers, 'rooms_edge': np.array(scene.rooms.edge),
+                   'rooms_corner': scene.rooms.corner}
     try:
         content = io.BytesIO()
         np.savez(content, **arrays)

@@ -20,7 +20,7 @@ separates into rooms. A beam over the whole width of a corridor is not a lintel,
 a shelf is not a room.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from itertools import combinations
 
@@ -28,7 +28,7 @@ import numpy as np
 from ocp_ros.geometry.cameras import rotation_matrix
 from ocp_ros.geometry.clouds import corners_of, voxel_downsample
 from ocp_ros.geometry.normals import STEEP
-from ocp_ros.scenes.scene import MIN_POINTS, Scene
+from ocp_ros.scenes.scene import MIN_POINTS, Rooms, Scene
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
@@ -36,19 +36,24 @@ from scipy.spatial import cKDTree
 PLAN_VOXEL_M = 0.04
 #: Metres: gaps in a floor up to this width are closed.
 MAX_FLOOR_GAP_M = 0.4
-#: Metres: half the least width of a room.
-MIN_HALF_WIDTH_M = 0.6
+#: Metres: half the least width of a main room, and of corridors and closets beside others.
+MIN_HALF_WIDTH_M, MIN_HALF_CLOSET_M = 0.6, 0.3
+#: Square metres: the least area of a room of a floor; that of a closet of 2 m2 without a cell at
+#: its walls.
+MIN_ROOM_M2 = 1.3
 
 
-def main_room(scene: Scene, points: np.ndarray, surfaces: np.ndarray) -> Scene:
+def main_room(scene: Scene, points: np.ndarray, surfaces: np.ndarray, all_rooms: bool = False
+              ) -> Scene:
     """
-    Leave out the points of other rooms and add a note.
+    Leave out the points of other rooms and add a note, or find the rooms of a floor.
 
     :param points: (N, 3) metres, the points of the file before merging: the plan is made of these,
         since ``scene.points`` may be too far apart for fine cells.
     :param surfaces: (M, 3) metres, points on surfaces: those far from all of them do not count.
+    :param all_rooms: whether other rooms are kept.
     :returns: the same scene if there are no other rooms, or they cannot be separated. A scan of
-        many rooms stays whole and gets a remark.
+        many rooms stays whole and gets a remark, and :attr:`~ocp_ros.scenes.scene.Scene.rooms`.
     """
     thin_points = _near_surfaces(points, surfaces)
     # The corner of the plan, at the height of the floor. The empty margin around the points is for
@@ -68,35 +73,35 @@ def main_room(scene: Scene, points: np.ndarray, surfaces: np.ndarray) -> Scene:
     if cell > 0.2 or np.prod(np.ptp(thin_points[:, :2], axis=0)) > 5000.0:
         return scene
     glass = _glass_walls(scene, points) - corner[:2]
-    rooms, wall_shares = _separate_rooms(thin_points, cell, glass)
-    if rooms.max() < 2:
+    if all_rooms:
+        return _with_rooms(scene, thin_points, cell, glass, corner)
+    numbers, wall_shares = _separate_rooms(thin_points, cell, glass, MIN_HALF_WIDTH_M)
+    rooms = Rooms(numbers, cell, np.zeros(2))
+    if rooms.count < 2:
         return scene
-    find_rooms = _room_finder(rooms, cell)
-    # ``find_rooms`` returns the nearest room, so number 0, which is no room, has no points.
-    counts = np.bincount(find_rooms(thin_points), minlength=rooms.max() + 1)
+    # ``at`` returns the nearest room, so number 0, which is no room, has no points.
+    counts = np.bincount(rooms.at(thin_points), minlength=rooms.count + 1)
     # A room of which only a part is visible, through a door, has few walls around that part, so it
     # gets less weight.
     weights = counts * wall_shares
     main_number = int(weights.argmax())
-    floor_areas = np.bincount(rooms.ravel()) * cell * cell
     # A room has 2 % of the points and 1 m2 of floor at least.
     other_numbers = [number for number in np.flatnonzero(counts >= 0.02 * len(thin_points))
-                     if number != main_number and floor_areas[number] >= 1.0]
+                     if number != main_number and rooms.areas[number - 1] >= 1.0]
     # A scan with many rooms, or without a main one, shows a building.
     if len(other_numbers) >= 4 or (other_numbers and weights.max() < 0.45 * weights.sum()):
-        remark = f'{len(other_numbers) + 1} rooms with openings between them: all are planned for'
-        return replace(scene, remarks=(*scene.remarks, remark))
+        return _with_rooms(scene, thin_points, cell, glass, corner)
     if len(glass):
         # Of a room behind glass there may be less, and in parts.
         other_numbers = np.setdiff1d(np.flatnonzero(counts), [main_number])
     positions = scene.points - corner
-    is_kept = ~np.isin(find_rooms(positions), other_numbers)
+    is_kept = ~np.isin(rooms.at(positions), other_numbers)
     # Points beside the main room that face it are on its own walls, and are kept too.
     is_beside = ~is_kept
     if len(glass):
         # What is behind glass faces the room as well.
         is_beside &= cKDTree(glass).query(positions[:, :2])[0] > 1.0
-    is_kept[is_beside] = _facing_points(positions[is_beside], rooms == main_number, cell, tree,
+    is_kept[is_beside] = _facing_points(positions[is_beside], numbers == main_number, cell, tree,
                                         0.6 * neighbour_distance)
     if is_kept.all() or is_kept.sum() < MIN_POINTS:
         return scene
@@ -104,6 +109,32 @@ def main_room(scene: Scene, points: np.ndarray, surfaces: np.ndarray) -> Scene:
             'glass; expected one room; that part of the scan is not planned for: --all-rooms '
             'includes it')
     return replace(scene.only(is_kept), notes=(*scene.notes, note))
+
+
+def _with_rooms(scene: Scene, thin_points: np.ndarray, cell: float, glass: np.ndarray,
+                corner: np.ndarray) -> Scene:
+    """
+    Return a scene with its rooms, if there are several, and a remark.
+
+    :param thin_points: (N, 3) metres, from the corner (3,) of the plan; the other parameters are
+        those of :func:`_separate_rooms`.
+    """
+    numbers, _ = _separate_rooms(thin_points, cell, glass, MIN_HALF_CLOSET_M)
+    # The cells at walls count as walls; here they belong to the nearest room.
+    distance, (x, y) = ndimage.distance_transform_edt(numbers == 0, return_indices=True)
+    numbers = np.where(distance <= 1.0, numbers[x, y], 0)
+    areas = np.bincount(numbers.ravel()) * cell * cell
+    areas[0] = 0.0
+    # The largest room is number 1.
+    large = [number for number in np.argsort(-areas, kind='stable')
+             if areas[number] >= MIN_ROOM_M2]
+    if len(large) < 2:
+        return scene
+    new_numbers = np.zeros(len(areas), dtype=np.int16)
+    new_numbers[large] = np.arange(len(large)) + 1
+    remark = f'{len(large)} rooms with openings between them: all are planned for'
+    return replace(scene, remarks=(*scene.remarks, remark),
+                   rooms=Rooms(new_numbers[numbers], cell, corner[:2]))
 
 
 def without_views_outside(scene: Scene, points: np.ndarray) -> tuple[Scene, np.ndarray]:
@@ -326,28 +357,6 @@ def _steps_between(far_room: np.ndarray, room: np.ndarray, other: np.ndarray,
                    np.array([x, low[1] + edges[1] * (last[row] + 1)]))
 
 
-def _room_finder(rooms: np.ndarray, cell: float) -> Callable[[np.ndarray], np.ndarray]:
-    """
-    Return a function that finds the nearest room of each position.
-
-    :param rooms: (X, Y) room numbers on the plan, 0 for no room.
-    :param cell: the edge of a cell, metres.
-    :returns: a function from positions (N, 3), metres from the corner of the plan, to room numbers
-        (N,).
-    """
-    # The two faces of a wall belong to two rooms, so the cells are subdivided, into about four
-    # million cells at most.
-    subdivisions = int(np.clip(np.sqrt(4_000_000 / rooms.size), 1, 4))
-    fine_rooms = rooms.repeat(subdivisions, axis=0).repeat(subdivisions, axis=1)
-    _, (x, y) = ndimage.distance_transform_edt(fine_rooms == 0, return_indices=True)
-    nearest_rooms = fine_rooms[x, y]
-
-    def find_rooms(positions: np.ndarray) -> np.ndarray:
-        cells = (positions[:, :2] * (subdivisions / cell)).astype(int)
-        return nearest_rooms[tuple(np.clip(cells, 0, np.array(nearest_rooms.shape) - 1).T)]
-    return find_rooms
-
-
 def _facing_points(points: np.ndarray, is_room: np.ndarray, cell: float, tree: cKDTree,
                    radius: float) -> np.ndarray:
     """
@@ -402,7 +411,7 @@ def _ceiling_height(heights: np.ndarray) -> float:
     return min(top, min_ceiling_m + layer_m * (int(layer_counts.argmax()) + 0.5))
 
 
-def _separate_rooms(points: np.ndarray, cell: float, glass: np.ndarray
+def _separate_rooms(points: np.ndarray, cell: float, glass: np.ndarray, min_half_width: float
                     ) -> tuple[np.ndarray, np.ndarray]:
     """
     Separate rooms on a plan of X x Y cells.
@@ -410,6 +419,7 @@ def _separate_rooms(points: np.ndarray, cell: float, glass: np.ndarray
     :param points: (N, 3) metres, from the lowest corner of the plan, z above the floor.
     :param cell: the edge of a cell, metres.
     :param glass: (G, 2) metres, places of walls that the points do not show.
+    :param min_half_width: metres, half the least width of a room.
     :returns: (X, Y) room numbers from 1, 0 in walls and outside; and by room number the share of
         the room's border that is wall.
     """
@@ -442,7 +452,7 @@ def _separate_rooms(points: np.ndarray, cell: float, glass: np.ndarray
     rooms = joined[rooms]
     # A joined room is wide if one of its parts is wide.
     is_wide = np.zeros(count + 1, dtype=bool)
-    is_wide[joined[max_wall_distances >= MIN_HALF_WIDTH_M]] = True
+    is_wide[joined[max_wall_distances >= min_half_width]] = True
     rooms[~is_wide[rooms]] = 0
     # All other free cells join the nearest room, except those that are not connected with a room,
     # such as the inside of a thick wall.

@@ -24,6 +24,7 @@ from ocp_ros.geometry.normals import edge_aware_normals
 from ocp_ros.scenes.neighbours import nearest
 from ocp_ros.scenes.source_frame import axis_of, SourceFrame
 from ocp_ros.util.settings import UserError
+from scipy import ndimage
 from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.distance import pdist
 
@@ -63,6 +64,60 @@ class Mesh:
 
 
 @dataclass(frozen=True, eq=False)
+class Rooms:
+    """
+    The R rooms of a floor, on a plan of X x Y square cells.
+
+    :ivar numbers: (X, Y) int, the room of each cell, from 1 to R; 0 in walls and outside.
+    :ivar edge: the edge of a cell, metres.
+    :ivar corner: (2,) metres, the lowest corner of the plan.
+    :ivar axes: (2, 2), the directions of the plan: ``places @ axes`` leads from the map to them.
+    """
+
+    numbers: np.ndarray
+    edge: float
+    corner: np.ndarray
+    axes: np.ndarray = field(default_factory=lambda: np.eye(2))
+
+    @property
+    def count(self) -> int:
+        """Return the number of rooms, R."""
+        return int(self.numbers.max())
+
+    @property
+    def areas(self) -> np.ndarray:
+        """Return the area of each room, square metres: (R,)."""
+        return np.bincount(self.numbers.ravel(), minlength=self.count + 1)[1:] * self.edge ** 2
+
+    @property
+    def middles(self) -> np.ndarray:
+        """Return the place in each room that is farthest from its walls: (R, 2) metres."""
+        depths = ndimage.distance_transform_edt(self.numbers > 0)
+        cells = ndimage.maximum_position(depths, self.numbers, np.arange(self.count) + 1)
+        return (self.corner + self.edge * (np.array(cells) + 0.5)) @ self.axes.T
+
+    @cached_property
+    def _nearest(self) -> np.ndarray:
+        """Return the nearest room of each part of a cell."""
+        # The two faces of a wall belong to two rooms, so the cells are subdivided, into about four
+        # million cells at most.
+        subdivisions = int(np.clip(np.sqrt(4_000_000 / self.numbers.size), 1, 4))
+        fine = self.numbers.repeat(subdivisions, axis=0).repeat(subdivisions, axis=1)
+        _, (x, y) = ndimage.distance_transform_edt(fine == 0, return_indices=True)
+        return fine[x, y]
+
+    def at(self, places: np.ndarray) -> np.ndarray:
+        """Return the room nearest to each place (M, 2 or 3), metres, map frame: (M,)."""
+        fine_edge = self.edge * len(self.numbers) / len(self._nearest)
+        cells = ((places[:, :2] @ self.axes - self.corner) / fine_edge).astype(int)
+        return self._nearest[tuple(np.clip(cells, 0, np.array(self._nearest.shape) - 1).T)]
+
+    def turned(self, rotation: np.ndarray) -> 'Rooms':
+        """Return the rooms of the floor after a rotation (3, 3) about the vertical."""
+        return replace(self, axes=rotation[:2, :2] @ self.axes)
+
+
+@dataclass(frozen=True, eq=False)
 class Scene:
     """
     A room as points.
@@ -76,6 +131,7 @@ class Scene:
     :ivar remarks: corrections that reading the file made, one sentence each.
     :ivar survey: the same room with the points that it was judged on, if they are others: an
         answer about the scan does not depend on how far it is thinned.
+    :ivar rooms: the rooms of a floor; None for one room.
     :raises SceneError: if the points are not a room (see :func:`check_points`).
     """
 
@@ -87,6 +143,7 @@ class Scene:
     notes: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
     survey: 'Scene | None' = field(default=None, repr=False)
+    rooms: Rooms | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         """Convert the points to float32 in C order and refuse points that are not a room."""
@@ -175,7 +232,8 @@ def turned(scene: Scene, degrees: float) -> Scene:
     normals = None if scene.normals is None else scene.normals @ rotation.T
     rotated = Scene(scene.points @ rotation.T, f'{scene.name}@{degrees:g}', normals, mesh,
                     scene.source.rotated(rotation), scene.notes, scene.remarks,
-                    None if scene.survey is None else turned(scene.survey, degrees))
+                    None if scene.survey is None else turned(scene.survey, degrees),
+                    scene.rooms and scene.rooms.turned(rotation))
     # A rotation keeps distances, but distances of the rotated points would differ by rounding. So
     # the properties with distances are copied.
     rotated.__dict__.update((name, getattr(scene, name))

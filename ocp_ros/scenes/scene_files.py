@@ -211,7 +211,7 @@ def _make_scene(rows: np.ndarray, name: str, scene_name: str, declared: Declared
             scene = Scene(inner.points, scene_name, inner.normals, mesh, source, tuple(notes),
                           remarks + inner.remarks)
             whole = scene.only(_evenly(len(scene), SURVEY_POINTS))
-            survey = whole if all_rooms else main_room(whole, whole.points, whole.points)
+            survey = main_room(whole, inner.points, whole.points, all_rooms)
             thinned = scene.only(_evenly(len(scene), max_samples))
             return _warn_of_notes(survey if len(thinned) == len(whole) else
                                   _room_of_survey(thinned, whole, survey), name)
@@ -269,7 +269,7 @@ def _room_in(scene: Scene, points: np.ndarray, all_rooms: bool) -> Scene:
         points = scene.points
     # Leave out what lies outside of the room.
     scene = without_outside(scene)
-    return scene if all_rooms else main_room(scene, points, surfaces)
+    return main_room(scene, points, surfaces, all_rooms)
 
 
 def _room_of_survey(scene: Scene, whole: Scene, survey: Scene) -> Scene:
@@ -285,7 +285,8 @@ def _room_of_survey(scene: Scene, whole: Scene, survey: Scene) -> Scene:
     is_room[tree.query(survey.points)[1]] = True
     if not is_room.all():
         scene = scene.only(is_room[tree.query(scene.points)[1]])
-    return replace(scene, notes=survey.notes, remarks=survey.remarks, survey=survey)
+    return replace(scene, notes=survey.notes, remarks=survey.remarks, survey=survey,
+                   rooms=survey.rooms)
 
 
 def _evenly(count: int, max_count: int) -> np.ndarray:

@@ -23,6 +23,7 @@ A search fits its placement to its viewpoints, so the error there is lower than 
 viewpoints, for validation, tell what the placement is worth.
 """
 
+from collections.abc import Iterator
 from functools import cached_property, lru_cache
 from weakref import WeakKeyDictionary
 
@@ -35,8 +36,10 @@ from ocp_ros.rig.structure import Air, MIN_BALL_M, STEEP
 from ocp_ros.scenes.scene import Scene, turned
 from scipy.spatial import distance
 
-#: The numbers of viewpoints in the air and of validation viewpoints, powers of two.
+#: The least numbers of viewpoints in the air and of validation viewpoints, those of one room.
 VIEWPOINTS, VALIDATION_VIEWPOINTS = 16, 64
+#: Square metres: on a floor, the largest part of the air for which one viewpoint stands.
+VIEWPOINT_AREA_M2 = 10.0
 
 #: The viewpoints of each scene so far, by kind.
 _cache: WeakKeyDictionary[Scene, dict[str, np.ndarray]] = WeakKeyDictionary()
@@ -63,15 +66,15 @@ def air_viewpoints(scene: Scene) -> np.ndarray:
     Return the centres (V, 3), metres, of 16 equal parts of the air at half height.
 
     If there is too little air at half height, all heights are used. If the whole room has fewer
-    than 16 cells of air, the paper's five viewpoints are returned.
+    than 16 cells of air, the paper's five viewpoints are returned. On a floor of several rooms,
+    each room has parts of its own, in number by its air: one at least, and 16 in all at least.
     """
     air = air_cells_of(scene)
-    cells = air.at_half_height
-    if len(cells) < VIEWPOINTS:
-        cells = air.all
-    if len(cells) < VIEWPOINTS:
+    centres = [_part_centres(cells, air.parts(cells, count))
+               for cells, count in air.by_room(VIEWPOINTS, air.at_half_height)]
+    if not centres:
         return paper_viewpoints(scene)
-    return _part_centres(cells, air.parts(cells, VIEWPOINTS)) @ air.map_from_walls
+    return np.concatenate(centres) @ air.map_from_walls
 
 
 def validation_viewpoints(scene: Scene) -> np.ndarray:
@@ -79,7 +82,8 @@ def validation_viewpoints(scene: Scene) -> np.ndarray:
     Return 64 positions (V, 3), metres: one drawn in each of 64 equal parts of the air.
 
     They are at any height. If the room has fewer than 64 cells of air, all of them are returned,
-    or the paper's five viewpoints if there is none.
+    or the paper's five viewpoints if there is none. A floor of several rooms has about four times
+    as many as :func:`air_viewpoints`, in each room.
     """
     air = air_cells_of(scene)
     if len(air.all) == 0:
@@ -87,8 +91,9 @@ def validation_viewpoints(scene: Scene) -> np.ndarray:
     if len(air.all) < VALIDATION_VIEWPOINTS:
         return air.all @ air.map_from_walls
     rng = np.random.default_rng(0)
-    drawn = [rng.choice(part) for part in air.parts(air.all, VALIDATION_VIEWPOINTS)]
-    return air.all[drawn] @ air.map_from_walls
+    drawn = [cells[[rng.choice(part) for part in air.parts(cells, count)]]
+             for cells, count in air.by_room(VALIDATION_VIEWPOINTS, air.all)]
+    return np.concatenate(drawn) @ air.map_from_walls
 
 
 class AirCells:
@@ -104,6 +109,7 @@ class AirCells:
     def __init__(self, scene: Scene) -> None:
         angle = wall_direction(scene)
         aligned = turned(scene, -np.rad2deg(angle))
+        self._rooms = aligned.rooms
         height = float(scene.bounds[:, 2].mean())
         air = Air(aligned, FreePlane.of(aligned.points, height, cameras=1, margin=0.0,
                                         clearance=0.0), centred=True)
@@ -119,6 +125,32 @@ class AirCells:
     def all(self) -> np.ndarray:
         """Return the cells of all heights: (A, 3) metres."""
         return self._air.cells()
+
+    def by_room(self, least_count: int, cells: np.ndarray) -> Iterator[tuple[np.ndarray, int]]:
+        """
+        Yield some cells of each room, and the number of parts into which they are divided.
+
+        :param least_count: the number of parts of a single room, and of all rooms at least.
+        :param cells: (M, 3) metres, those to divide; in a room with too few of them, those of all
+            heights are used. A room that still has too few yields nothing.
+        """
+        if self._rooms is None:
+            cells = cells if len(cells) >= least_count else self.all
+            if len(cells) >= least_count:
+                yield cells, least_count
+            return
+        rooms, all_rooms = self._rooms.at(cells), self._rooms.at(self.all)
+        areas = self._rooms.areas
+        # More rooms have more viewpoints, since each stands for a part of the air in one room.
+        part_area = min(areas.sum() / least_count,
+                        VIEWPOINT_AREA_M2 * VIEWPOINTS / least_count)
+        for room, area in enumerate(areas, start=1):
+            count = int(np.ceil(area / part_area))
+            chosen = cells[rooms == room]
+            if len(chosen) < count:
+                chosen = self.all[all_rooms == room]
+            if len(chosen):
+                yield chosen, min(count, len(chosen))
 
     def parts(self, cells: np.ndarray, count: int) -> list[np.ndarray]:
         """Divide cells (M, 3) into equal parts; see :func:`_equal_parts`."""
@@ -162,30 +194,32 @@ def _equal_parts(keys: np.ndarray, long_axis: int, count: int) -> list[np.ndarra
     """
     Divide cells into equal parts: in halves, again and again, across the largest variance.
 
-    Ties are broken by the coordinates.
+    Ties are broken by the coordinates. An odd number of parts is divided into unequal halves.
 
     :param keys: (M, D) metres, the coordinates of M cells along the axes of the room.
     :param long_axis: the axis, 0 or 1, along which the room is longer.
-    :param count: the number of parts, a power of two, at most M.
+    :param count: the number of parts, at most M.
     :returns: the indices of the cells of each part.
     """
-    parts = [np.arange(len(keys))]
     # Rounding errors must not decide between equal coordinates.
     sort_keys = keys.round(6)
-    while len(parts) < count:
-        halves = []
-        for part in parts:
-            variances = keys[part].var(axis=0)
-            # The long axis is preferred: noise must not decide how square parts are cut.
-            variances[long_axis] *= 1.3
-            # Cells are sorted along the first of these axes; the next ones decide between cells
-            # with equal coordinates.
-            axes = [int(np.argmax(variances)), long_axis, 1 - long_axis, *range(2, keys.shape[1])]
-            # lexsort takes the last key first.
-            part = part[np.lexsort(sort_keys[part].T[axes[::-1]])]
-            halves += [part[:len(part) // 2], part[len(part) // 2:]]
-        parts = halves
-    return parts
+
+    def divided(part: np.ndarray, count: int) -> list[np.ndarray]:
+        if count == 1:
+            return [part]
+        variances = keys[part].var(axis=0)
+        # The long axis is preferred: noise must not decide how square parts are cut.
+        variances[long_axis] *= 1.3
+        # Cells are sorted along the first of these axes; the next ones decide between cells
+        # with equal coordinates.
+        axes = [int(np.argmax(variances)), long_axis, 1 - long_axis, *range(2, keys.shape[1])]
+        # lexsort takes the last key first.
+        part = part[np.lexsort(sort_keys[part].T[axes[::-1]])]
+        first_count = count // 2
+        half = len(part) * first_count // count
+        return divided(part[:half], first_count) + divided(part[half:], count - first_count)
+
+    return divided(np.arange(len(keys)), count)
 
 
 def _part_centres(cells: np.ndarray, parts: list[np.ndarray]) -> np.ndarray:

@@ -16,6 +16,7 @@
 
 from collections.abc import Sequence
 from html import escape
+from itertools import repeat
 from typing import NamedTuple
 
 import numpy as np
@@ -50,6 +51,8 @@ LEGENDS = {
         ('seen by it and others', COUNT_COLOURS[1]), ('seen by it alone', COUNT_COLOURS[3]))}
 #: What is shown of the room.
 POINTS, POINTS_AND_MESH, MESH = ROOM_VIEWS = 'points', 'points and mesh', 'mesh'
+#: Attribute of a row that is not as it should be.
+BAD_STYLE = ' style="color:#a33f00"'
 #: Sentence in place of that of a certificate.
 NO_CERTIFICATE = 'How far from the best is not known for this rig: Plan all finds out.'
 #: CSS of the page: lines of a message stay lines, and on a phone the panel has its full width.
@@ -103,7 +106,13 @@ def figures_of(evaluation: Evaluation) -> list[tuple[str, str]]:
 def region_table(evaluation: Evaluation) -> str:
     """Return the table of the regions as HTML; empty without regions."""
     rows = facts.region_rows(evaluation.rig_scores)
-    return table(rows, facts.REGION_COLUMNS) if rows else ''
+    return table(rows, head=facts.REGION_COLUMNS) if rows else ''
+
+
+def room_table(evaluation: Evaluation) -> str:
+    """Return the table of the rooms of a floor as HTML; empty for one room."""
+    rows = facts.room_rows(evaluation.rig_scores)
+    return table(*zip(*rows), head=facts.ROOM_COLUMNS) if rows else ''
 
 
 def summary(evaluation: Evaluation) -> str:
@@ -111,7 +120,7 @@ def summary(evaluation: Evaluation) -> str:
     # In the order of :func:`.facts.score_figures`; the expected depth error is left out.
     depth_error, _, seen_share, *_ = figures_of(evaluation)
     return styled(table([depth_error, seen_share]) + region_table(evaluation)
-                  + _sentence_list(evaluation.violations))
+                  + room_table(evaluation) + _sentence_list(evaluation.violations))
 
 
 def all_figures(evaluation: Evaluation, certificate: Certificate | None,
@@ -135,9 +144,10 @@ def all_figures(evaluation: Evaluation, certificate: Certificate | None,
     cameras = [(camera['name'], f'{camera["depth_error"]:.2f} m', facts.percent(camera['only']))
                for camera in evaluation.scores['cameras']]
     return styled(
-        table(rows, head) + region_table(evaluation) + f'<p>{escape(optimality)}</p>'
+        table(rows, head=head) + region_table(evaluation) + room_table(evaluation)
+        + f'<p>{escape(optimality)}</p>'
         + (f'<p>{escape(facts.links_line(links))}</p>' if links else '')
-        + table(cameras, ('camera', 'error reduction', 'seen by it only'))
+        + table(cameras, head=('camera', 'error reduction', 'seen by it only'))
         + (_sentence_list(evaluation.all_violations) or '<p>All constraints are satisfied.</p>'))
 
 
@@ -154,10 +164,16 @@ def message(text: str) -> str:
     return styled(f'<p>{escape(text)}</p>') if text else ''
 
 
-def table(rows: Sequence[Sequence[str]], head: Sequence[str] = ()) -> str:
-    """Return a table as HTML; all cells are escaped."""
-    body = ''.join(f'<tr>{"".join(f"<td>{escape(cell)}</td>" for cell in row)}</tr>'
-                   for row in rows)
+def table(rows: Sequence[Sequence[str]], is_good: Sequence[bool] = (),
+          head: Sequence[str] = ()) -> str:
+    """
+    Return a table as HTML; all cells are escaped.
+
+    :param is_good: for each row whether it is as it should be, the others are red; empty for all.
+    """
+    body = ''.join(f'<tr{"" if good else BAD_STYLE}>'
+                   f'{"".join(f"<td>{escape(cell)}</td>" for cell in row)}</tr>'
+                   for row, good in zip(rows, is_good or repeat(True)))
     # Names may be broken anywhere, the words of the head may not.
     head_cells = ''.join(f'<th style="overflow-wrap:normal">{escape(cell)}</th>' for cell in head)
     return ('<table style="width:100%;text-align:left;border-spacing:0 0.15em">'

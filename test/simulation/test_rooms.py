@@ -1,0 +1,100 @@
+# Copyright 2026 The ocp_ros authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Rooms of a floor: each has viewpoints and a row of the table, whatever is found in it."""
+
+from io import StringIO
+
+from benchmarks.floors import along_corridor, scan_of
+import numpy as np
+from ocp_ros.geometry.engine_config import EngineConfig
+from ocp_ros.report.assessment import assess
+from ocp_ros.report.facts import facts_of, ROOM_COLUMNS
+from ocp_ros.report.terminal import print_table
+from ocp_ros.report.viewer import tables_of
+from ocp_ros.rig.placement_file import placement_of
+from ocp_ros.rig.rig_file import rig_of
+from ocp_ros.rooms import scene_source
+from ocp_ros.scenes.scene import turned
+from ocp_ros.simulation.viewpoints import viewpoints_of
+from ocp_ros.studio.model import Studio
+from ocp_ros.studio.texts import summary
+import pytest
+from rich.console import Console
+
+#: A corridor, rooms of 27, 20 and 14 m2, and a closet of 2 m2. The last door is closed.
+FLOOR = along_corridor([[6.0, 1.4], [4.5, 3.0]], furniture=0)
+CLOSED = FLOOR._replace(doors=FLOOR.doors[:-1])
+
+
+@pytest.fixture(scope='module')
+def floor():
+    """Return a scan of a floor."""
+    return scan_of(CLOSED, 40_000, all_rooms=True)
+
+
+@pytest.mark.parametrize('degrees', [0.0, 33.0])
+def test_each_room_and_closet_is_found_and_has_viewpoints_by_its_air(floor, degrees):
+    scene = turned(floor, degrees)
+    back = turned(scene, -degrees).points.astype(float)
+    is_inside = np.abs(back[:, 2] - 1.3) < 1.2
+    own, found = CLOSED.room_at(back[is_inside]), scene.rooms.at(scene.points[is_inside])
+    assert scene.rooms.count == len(CLOSED.rooms)
+    # Numbers go by area; points of walls may count for the room on the other side.
+    areas = (CLOSED.rooms[:, 1] - CLOSED.rooms[:, 0]).prod(axis=1)
+    number_of = np.argsort(np.argsort(-areas)) + 1
+    assert np.mean(number_of[own] == found) > 0.93
+    np.testing.assert_allclose(scene.rooms.areas, np.sort(areas)[::-1], rtol=0.25)
+    assert np.array_equal(scene.rooms.at(scene.rooms.middles), np.arange(len(areas)) + 1)
+    for kind, least in (('air', 16), ('validation', 64)):
+        counts = np.bincount(scene.rooms.at(viewpoints_of(scene, kind)), minlength=6)[1:]
+        assert counts.min() >= 1 and least <= counts.sum() <= least + len(areas)
+        assert (np.abs(counts - least * areas[np.argsort(-areas)] / areas.sum()) < 1.8).all()
+
+
+def test_a_scan_of_one_room_has_no_rooms_and_one_with_many_is_kept_in_the_cache(
+        floor, tmp_path, monkeypatch):
+    room = CLOSED._replace(rooms=FLOOR.rooms[1:2], doors=FLOOR.doors[:0])
+    assert scan_of(room, 20_000, all_rooms=True).rooms is None
+    monkeypatch.setattr(scene_source, 'MIN_CACHED_BYTES', 0)
+    monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path / 'cache'))
+    np.save(tmp_path / 'floor.npy', floor.points)
+    first, again = (scene_source.load_cached(tmp_path / 'floor.npy', all_rooms=True).rooms
+                    for _ in range(2))
+    assert again.count == len(CLOSED.rooms) and np.array_equal(first.numbers, again.numbers)
+    assert np.array_equal(first.corner, again.corner) and first.edge == again.edge
+
+
+def test_a_room_that_is_not_seen_is_red_and_named_everywhere(floor):
+    poses = np.zeros((2, 6))
+    # Both cameras are in the largest room, and look away from its door.
+    poses[:, :3] = [*CLOSED.rooms[1].mean(axis=0) + [0.0, 0.5], 1.9]
+    poses[:, 3] = np.deg2rad([90.0, 120.0])
+    rig = rig_of(2, 'd455')
+    room = {'file': 'floor.npy', 'sha256': scene_source.sha256_of(floor)}
+    judged = assess(floor, placement_of(rig, poses, engine=EngineConfig('fast', 32, 0.5)), room,
+                    'ocp score')
+    rows = judged.found['scores']['rooms']
+    assert [row['cameras'] for row in rows] == [2, 0, 0, 0, 0]
+    assert 0.1 < rows[0]['seen'] < 0.9 and max(row['seen'] for row in rows[1:]) < 0.02
+    facts = facts_of(judged.found)
+    assert any('4 of 5 rooms' in doubt and 'room 5' in doubt for doubt in facts.doubts)
+    out = StringIO()
+    print_table(Console(file=out, force_terminal=True, width=80), None, ROOM_COLUMNS,
+                *zip(*facts.rooms))
+    assert out.getvalue().count('\x1b[31m') >= 4
+    page = ''.join(tables_of(judged))
+    assert page.count('<tr class=bad>') == 4 and 'room 5' in page
+    studio = Studio(floor, room, rig, poses)
+    assert summary(studio.evaluation()).count('<tr style=') == 4
