@@ -75,15 +75,26 @@ class SurfelVisibility:
 
     def __init__(self, points: np.ndarray, normals: np.ndarray, pitch: np.ndarray,
                  places: np.ndarray, settings: SurfelSettings) -> None:
-        self.order, self.place_order = spatial_order(points), spatial_order(places)
+        self.order = spatial_order(points)
         points, radius = points[self.order], (DISC_SCALE * pitch)[self.order]
         self._surfels = Surfels.of(points, normals[self.order], radius)
         self._bounds = block_bounds(points, radius)
+        self.settings = settings
+        self._set_places(places)
+
+    def _set_places(self, places: np.ndarray) -> None:
+        """Set the positions in the air (M, 3), metres."""
+        self.place_order = spatial_order(places)
         self._places = SurfelPlaces.of(places[self.place_order])
         self._place_bounds = block_bounds(places[self.place_order], self._places.radius)
-        self.settings = settings
         #: Workspaces that are not in use; a look makes a new one if there is none.
         self._free_workspaces: deque[Workspace] = deque()
+
+    def with_places(self, places: np.ndarray) -> 'SurfelVisibility':
+        """Return a copy with other positions (M, 3), metres, which shares the points."""
+        other = copy(self)
+        other._set_places(places)
+        return other
 
     def by(self, settings: SurfelSettings) -> 'SurfelVisibility':
         """Return a copy with other rules, which shares the points and the positions."""
@@ -162,10 +173,21 @@ class CubeVisibility:
     def __init__(self, points: np.ndarray, spacing: np.ndarray, places: np.ndarray,
                  settings: CubeSettings) -> None:
         self.settings = settings
-        self.order, self.place_order = spatial_order(points), spatial_order(places)
+        self.order = spatial_order(points)
         self._points = np.ascontiguousarray(points[self.order].T)
-        self._places = np.ascontiguousarray(places[self.place_order].T)
         self._half_sides = (settings.cube_scale * spacing[self.order]).astype(np.float32)
+        self._set_places(places)
+
+    def _set_places(self, places: np.ndarray) -> None:
+        """Set the positions in the air (M, 3), metres."""
+        self.place_order = spatial_order(places)
+        self._places = np.ascontiguousarray(places[self.place_order].T)
+
+    def with_places(self, places: np.ndarray) -> 'CubeVisibility':
+        """Return a copy with other positions; see :meth:`SurfelVisibility.with_places`."""
+        other = copy(self)
+        other._set_places(places)
+        return other
 
     def look(self, pose: Pose, lens: Frustum, seen: np.ndarray,
              covered: np.ndarray = NO_BITS) -> None:

@@ -146,7 +146,8 @@ def facts_of(findings: Mapping[str, Any]) -> Facts:
 
 def region_rows(scores: Mapping[str, Any]) -> list[tuple[str, ...]]:
     """Return for each region its row of the table with :data:`REGION_COLUMNS`."""
-    return [(region['name'], f'{percent(region["seen"])} of its {region["of"]}',
+    return [(region['name'], f'{percent(region["seen"])} of its {region["of"]}'
+             + (' from all around' if 'around' in region else ''),
              percent(region['must_see']), 'yes' if region['met'] else 'no')
             for region in scores['regions']]
 

@@ -119,6 +119,7 @@ def rig_scores(objective: Objective, views: Sequence[View], evaluation: RigEvalu
         'seen_by': rig.seen_by, 'seen': len(evaluation.seen) / points, 'points': points,
         'overlap': dict(zip(('0', '1', '2', '3 or more'), objective.overlap(views))),
         'regions': [{'name': region.name, 'of': region.parts, 'seen': float(share),
+                     **({'around': True} if region.air and region.air.around else {}),
                      'must_see': region.must_see, 'weight': region.weight,
                      'met': bool(share >= region.must_see)}
                     for region, share in zip(rig.regions, evaluation.regions)],
@@ -173,7 +174,8 @@ def broken_by(region: FeasibleRegion, poses: np.ndarray, scores: dict[str, Any])
     :param scores: scores of the placement, from :func:`scores_of`.
     """
     return region.broken(poses) + [
-        f'{score["name"]}: found {100.0 * score["seen"]:.1f} % of its {score["of"]} seen; '
+        f'{score["name"]}: found {100.0 * score["seen"]:.1f} % of its {score["of"]} seen'
+        f'{" from all around" if "around" in score else ""}; '
         f'expected {100.0 * score["must_see"]:.1f} % (must_see); turn or move a camera towards it'
         for score in scores['regions'] if not score['met']] + _group_sentences(scores)
 

@@ -36,6 +36,8 @@ from ocp_ros.util.yaml_files import describe, Document, document_of, nearest, re
 #: The share of a region's points that has to be seen with ``must_see: true``: some points are
 #: noise, and some are occluded from everywhere.
 MUST_SEE_SHARE = 0.95
+#: Radians: the largest gap, seen from above, between the directions of cameras all around.
+MAX_GAP = np.deg2rad(120.0)
 #: The default heights above the floor in metres; a ceiling mount has the height of the ceiling.
 DEFAULT_HEIGHTS_M = {'plane': (1.9, 1.9), 'ceiling': None, 'walls': (1.5, 2.5), 'free': (1.5, 2.5)}
 #: Cameras on a plane below this height stand on tripods, unless the file gives a footprint.
@@ -95,10 +97,26 @@ class SightCondition(NamedTuple):
 
     :ivar seen_by: the number of cameras that have to see the position.
     :ivar angle: the least angle between the lines of sight of any two of these cameras, radians.
+    :ivar around: whether cameras have to stand all around the position: seen from above, no gap
+        between their directions is larger than :data:`MAX_GAP`.
     """
 
     seen_by: int
     angle: float
+    around: bool = False
+
+    def eased(self, seen_by: int) -> tuple[int, float, float]:
+        """
+        Return the condition if at most a number of cameras have to see the position.
+
+        :returns: the number of cameras, the angle, and the largest gap between directions, which
+            grows for fewer cameras up to a full turn for one, radians.
+        """
+        if not self.around:
+            return min(self.seen_by, seen_by), self.angle, 2.0 * np.pi
+        missing = max(self.seen_by - seen_by, 0) / (self.seen_by - 1)
+        return (min(self.seen_by, seen_by), self.angle,
+                MAX_GAP + missing * (2.0 * np.pi - MAX_GAP))
 
 
 class Region(NamedTuple):
@@ -533,8 +551,15 @@ def _sight_condition(document: Document, keys: Way, cameras: int) -> SightCondit
     data = document.value(*keys[:-1]).get('air')
     if data is None:
         return None
-    seen_by = data.get('seen_by', 1)
+    around = data.get('around', False)
+    least = 3 if around else 1
+    seen_by = data.get('seen_by', least)
+    if seen_by < least:
+        raise document.error((*keys, 'seen_by'), f'{seen_by} with around: true', f'at least '
+                             f'{least}: fewer cameras leave a gap of more than 120 degrees',
+                             'raise it or leave around out')
     if seen_by > cameras:
-        raise document.error((*keys, 'seen_by'), str(seen_by), f'at most {cameras}, as many as '
-                             'there are cameras', 'lower it or add cameras')
-    return SightCondition(seen_by, float(np.deg2rad(data.get('angle', 0.0))))
+        raise document.error((*keys, 'seen_by' if 'seen_by' in data else 'around'), str(seen_by),
+                             f'at most {cameras}, as many as there are cameras',
+                             'lower it or add cameras')
+    return SightCondition(seen_by, float(np.deg2rad(data.get('angle', 0.0))), around)

@@ -101,6 +101,7 @@ FIXED = mapping(
     'a camera and its position', {'sensor': 'kinect_v2', 'position': [1.0, 2.0, 2.2], 'yaw': 90},
     ('position',), **MODEL, **ANGLES, position=POSITION, name=NAME) | {
     'remedies': MODEL_REMEDIES | {'count': 'write an entry with its pose for each camera'}}
+BOOLEAN = {'description': 'true or false', 'type': 'boolean', 'examples': [True]}
 WALL_REMEDIES = dict.fromkeys(
     ('wall', 'walls', 'side', 'surface'), "write 'keep_in' beside cameras, with a box along the "
     'wall: keep_in: [{box: [[0, 0, 0], [6, 0.3, 3]]}]')
@@ -109,7 +110,8 @@ REGION = mapping(
     'a name with a box or a polygon', {'name': 'table', 'box': [[1, 1, 0.5], [2, 2, 1.2]]},
     ('name',), name=NAME, **ZONE,
     air=mapping(
-        'a mapping with seen_by, angle or neither', {'seen_by': 2, 'angle': 30}, (),
+        'a mapping with seen_by, angle, around or none', {'seen_by': 2, 'angle': 30}, (),
+        around=BOOLEAN,
         seen_by=whole('a whole number of cameras, 1 or more', 2, minimum=1, maximum=64),
         angle=number('degrees, 0 to 120', 30.0, minimum=0, maximum=120)) | {
             'remedies': dict.fromkeys(('true', 'null'), 'write air: {}')},
@@ -161,8 +163,6 @@ RIG = mapping(
         overlap=number('a share above 0, at most 1', 0.2, exclusiveMinimum=0, maximum=1),
         angle=number('degrees above 0, at most 180', 60.0, exclusiveMinimum=0, maximum=180))) | {
     'remedies': WALL_REMEDIES}
-
-BOOLEAN = {'description': 'true or false', 'type': 'boolean', 'examples': [True]}
 PLACED = mapping(
     'a camera and its position', {'sensor': 'kinect_v2', 'position': [1.0, 2.0, 2.2], 'yaw': 90},
     ('position',), name=NAME, **MODEL, position=POSITION, **ANGLES,

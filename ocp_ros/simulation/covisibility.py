@@ -21,6 +21,7 @@ connected. Cameras in place have known poses and count as linked.
 """
 
 from collections.abc import Sequence
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -100,22 +101,25 @@ def covisibility(points: np.ndarray, views: Sequence[View], condition: Calibrata
 
 
 def air_share(cells: np.ndarray, numbers: np.ndarray, views: Sequence[View], seen_by: int,
-              angle: float) -> float:
+              angle: float, max_gap: float = 2.0 * np.pi) -> float:
     """
     Return the share of air cells that enough cameras see from directions far enough apart.
 
-    :param cells: (M, 3) metres, map frame, centres of all coverage cells in the engine's order.
+    :param cells: (M, 3) metres, map frame, centres of all cells of air in the engine's order.
     :param numbers: (S,) the indices in ``cells`` of the cells to count, S >= 1.
     :param views: the views of the cameras; a view from several positions at once counts for any
         direction.
     :param seen_by: the number of cameras that have to see a cell.
     :param angle: the least angle between the lines of sight of any two of these cameras, radians.
+    :param max_gap: the largest angle, seen from above, between the directions of neighbouring
+        cameras that see a cell, radians; a full turn for no limit.
     """
     # A position of NaN counts for any direction, see ``_count_watched``.
     unknown = np.full(3, np.nan)
     positions = np.array([unknown if view.position is None else view.position for view in views])
     bits = np.stack([view.covered for view in views])
-    return _count_watched(cells, numbers, bits, positions, seen_by, np.cos(angle)) / len(numbers)
+    return _count_watched(cells, numbers, bits, positions, seen_by, np.cos(angle),
+                          max_gap) / len(numbers)
 
 
 def _spanning_tree(shares: np.ndarray) -> list[tuple[int, int]]:
@@ -188,7 +192,35 @@ def _has_clique(linked, candidates, count):
 
 
 @njit(cache=True, nogil=True)
-def _count_watched(cells, numbers, covered, positions, seen_by, cosine):
+def _largest_gap(directions, seeing):
+    """
+    Return the largest angle, seen from above, between neighbouring directions, radians.
+
+    :param directions: (C, 3) unit vectors from the cameras; NaN counts for any direction.
+    :param seeing: uint64; bit i: the direction of camera i counts.
+    """
+    angles = np.empty(len(directions))
+    count = 0
+    for camera in range(len(directions)):
+        if seeing >> np.uint64(camera) & np.uint64(1):
+            x, y = directions[camera, 0], directions[camera, 1]
+            if np.isnan(x):
+                return 0.0
+            # A camera right above a cell looks from no side.
+            if x * x + y * y > 1e-9:
+                angles[count] = math.atan2(y, x)
+                count += 1
+    if count == 0:
+        return 2.0 * np.pi
+    angles = np.sort(angles[:count])
+    gap = angles[0] + 2.0 * np.pi - angles[-1]
+    for k in range(count - 1):
+        gap = max(gap, angles[k + 1] - angles[k])
+    return gap
+
+
+@njit(cache=True, nogil=True)
+def _count_watched(cells, numbers, covered, positions, seen_by, cosine, max_gap):
     """
     Count the cells that C cameras see as :func:`air_share` requires.
 
@@ -196,6 +228,7 @@ def _count_watched(cells, numbers, covered, positions, seen_by, cosine):
     :param covered: (C, V) uint64, packed bits of the cells that each camera sees.
     :param positions: (C, 3) metres, of the cameras; NaN for views that count for any direction.
     :param cosine: the cosine of the least angle between two lines of sight.
+    :param max_gap: radians, as in :func:`air_share`.
     """
     cameras, total = len(covered), 0
     # For one cell: the unit vectors from the cameras, and the links between them as bits.
@@ -214,6 +247,7 @@ def _count_watched(cells, numbers, covered, positions, seen_by, cosine):
                     # 1e-9 is the tolerance for rounding.
                     if not (directions[camera] * directions[other]).sum() > cosine + 1e-9:
                         linked[other] |= np.uint64(1) << np.uint64(camera)
-        if _has_clique(linked, seeing, seen_by):
+        if _has_clique(linked, seeing, seen_by) and (
+                max_gap >= 2.0 * np.pi or _largest_gap(directions, seeing) <= max_gap + 1e-9):
             total += 1
     return total

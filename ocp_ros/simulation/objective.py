@@ -20,7 +20,6 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from ocp_ros.geometry.coverage import space_coverage
 from ocp_ros.geometry.packed_bits import count_bits, no_bits, pack, seen_by, Subset, unpack
 from ocp_ros.rig.feasible_region import floor_space
 from ocp_ros.rig.free_plane import CELL_M, FreePlane
@@ -83,12 +82,18 @@ class Objective:
 
     def __init__(self, simulator: Simulator, rig: Rig) -> None:
         self.simulator, self.rig = simulator, rig
+        airs = [self._air_in(region) for region in rig.regions if region.air]
+        if airs:
+            self.simulator = simulator = simulator.with_air(np.concatenate(airs))
+        #: Numbers of the cells of the regions of air, one after the other, in the engine's order.
+        numbers = np.argsort(simulator.visibility.place_order)[len(simulator.grid):]
+        air_numbers = iter(np.split(numbers, np.cumsum([len(cells) for cells in airs])))
         count = len(rig.cameras)
         self.fixed = [simulator.look(pose, count + k) for k, pose in enumerate(rig.fixed_poses)]
-        self._empty_view = View(no_bits(len(simulator.scene)), no_bits(len(simulator.grid)))
+        self._empty_view = View(no_bits(len(simulator.scene)), no_bits(len(simulator.places)))
         self._order = simulator.visibility.order
         #: Of each region: packed bits of its points, or the indices of its cells of air.
-        self._contents = [self._points_of(region) if region.air is None else self._air_of(region)
+        self._contents = [self._points_of(region) if region.air is None else next(air_numbers)
                           for region in rig.regions]
         self._weights = np.array([region.weight for region in rig.regions])
         self._required_shares = np.array([region.must_see for region in rig.regions])
@@ -100,15 +105,27 @@ class Objective:
         self._check_inside(region, inside)
         return pack(inside[self._order])
 
-    def _air_of(self, region: Region) -> np.ndarray:
-        """Return the indices (S,) in ``_cells`` of the cells that are air in a region."""
-        scene, cells = self.simulator.scene, self._cells
-        numbers = np.flatnonzero(region.zone.contains(cells, floor_height(scene)))
-        # Cells inside furniture are not air.
-        numbers = numbers[~self._air.closed(cells[numbers])]
-        # ``numbers >= 0`` is True for each cell, and empty if the region has no cells.
-        self._check_inside(region, numbers >= 0)
-        return numbers
+    def _air_in(self, region: Region) -> np.ndarray:
+        """
+        Return the cells that are air in a region: (S, 3) metres, their centres.
+
+        Along each axis, a cell is at most a tenth of the region and a cell of the space coverage.
+        """
+        scene = self.simulator.scene
+        floor, edge = floor_height(scene), self.simulator.cell_volume ** (1.0 / 3.0)
+        low, high = region.zone.corners(floor)
+        low, high = np.maximum(low, scene.bounds[0]), np.minimum(high, scene.bounds[1])
+        counts = np.maximum(np.ceil((high - low) / edge - 0.01), 10).astype(int)
+        # A region outside of the scan has no cells.
+        counts *= int((low < high).all())
+        axes = [start + (np.arange(count) + 0.5) * (end - start) / count
+                for start, end, count in zip(low, high, counts)]
+        cells = np.stack(np.meshgrid(*axes, indexing='ij'), axis=-1).reshape(-1, 3)
+        cells = cells[region.zone.contains(cells, floor)]
+        # Cells inside furniture are not air; right behind its faces they may count as air.
+        is_air, min_share = ~self._air.closed(cells), 0.05
+        self._check_inside(region, np.array([is_air.sum() > min_share * len(cells)]))
+        return cells[is_air]
 
     @cached_property
     def validation(self) -> 'Objective':
@@ -131,7 +148,7 @@ class Objective:
     @cached_property
     def volume(self) -> float:
         """Return the volume between floor and ceiling, in cells of the coverage, cubic metres."""
-        scene, cells = self.simulator.scene, self._cells
+        scene, cells = self.simulator.scene, self._cells[self.simulator.is_grid]
         ceiling, top = ceiling_of(scene), np.full(len(cells), np.inf)
         if len(ceiling.points):
             top = ceiling.height_above(cells[:, :2])
@@ -152,18 +169,16 @@ class Objective:
         if not inside.any():
             scene = self.simulator.scene
             low, high = (', '.join(f'{value:.2f}' for value in corner) for corner in scene.bounds)
-            cells = '' if region.air is None else (
-                f' in cells of {self.simulator.cell_volume ** (1.0 / 3.0):.2f} m')
             remedy = ('correct its corners, or choose a region that is in the scan' if region.air
                       else 'write air: {} if it is in the air, or correct its corners')
             raise ConfigurationError(
-                f'{region.where}: found no {region.parts} of {scene.name} in it{cells}; expected '
+                f'{region.where}: found no {region.parts} of {scene.name} in it; expected '
                 f'some, within ({low}) to ({high}); {remedy}')
 
     @cached_property
     def _cells(self) -> np.ndarray:
-        """Return the cells of the coverage grid in the engine's order: (M, 3) metres."""
-        return self.simulator.grid[self.simulator.visibility.place_order].astype(np.float64)
+        """Return all cells of air in the engine's order: (M, 3) metres."""
+        return self.simulator.places.astype(np.float64)
 
     @cached_property
     def _points(self) -> np.ndarray:
@@ -213,7 +228,7 @@ class Objective:
         loss, error, shares = self._loss_of(seen, all_views)
         # A cost of links within the tolerance is a rounding error.
         return RigEvaluation(
-            loss + link_cost, error, space_coverage(covered, self.simulator.cell_volume), shares,
+            loss + link_cost, error, self.simulator.coverage(covered), shares,
             Subset(seen, self._order), link_cost <= SHARE_TOLERANCE)
 
     def loss(self, views: Sequence[View]) -> float:
@@ -255,8 +270,7 @@ class Objective:
         error = self.simulator.depth_error(seen)
         shares = np.array([
             count_bits(seen & content) / count_bits(content) if region.air is None else
-            air_share(self._cells, content, views, min(region.air.seen_by, max_seen_by),
-                      region.air.angle)
+            air_share(self._cells, content, views, *region.air.eased(max_seen_by))
             for region, content in zip(self.rig.regions, self._contents)])
         loss = (error / self.simulator.depth_error.worst + self._weights @ (1.0 - shares)
                 + MUST_SEE_COST * np.maximum(self._required_shares - shares, 0.0).sum())

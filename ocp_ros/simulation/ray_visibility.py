@@ -14,6 +14,7 @@
 
 """Visibility by rays cast at the mesh behind the points of a room."""
 
+from copy import copy
 from dataclasses import replace
 
 import numpy as np
@@ -41,9 +42,21 @@ class RayVisibility:
     """
 
     def __init__(self, points: np.ndarray, places: np.ndarray, mesh: Mesh) -> None:
-        self.order, self.place_order = spatial_order(points), spatial_order(places)
-        self._points, self._places = points[self.order], places[self.place_order]
+        self.order = spatial_order(points)
+        self._points = points[self.order]
         self._rays = MeshRays(mesh)
+        self._set_places(places)
+
+    def _set_places(self, places: np.ndarray) -> None:
+        """Set the positions in the air (M, 3), metres."""
+        self.place_order = spatial_order(places)
+        self._places = places[self.place_order]
+
+    def with_places(self, places: np.ndarray) -> 'RayVisibility':
+        """Return a copy with other positions; see ``SurfelVisibility.with_places``."""
+        other = copy(self)
+        other._set_places(places)
+        return other
 
     def look(self, pose: Pose, lens: Frustum, seen: np.ndarray,
              covered: np.ndarray = NO_BITS) -> None:

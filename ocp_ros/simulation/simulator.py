@@ -35,7 +35,7 @@ from ocp_ros.geometry.cameras import (
 from ocp_ros.geometry.coverage import coverable_cell, coverage_grid, space_coverage
 from ocp_ros.geometry.depth_error import DepthError
 from ocp_ros.geometry.engine_config import EngineConfig
-from ocp_ros.geometry.packed_bits import no_bits, Subset, unpack
+from ocp_ros.geometry.packed_bits import no_bits, pack, Subset, unpack
 from ocp_ros.geometry.visibility import CubeVisibility, MESH, PRESETS, SurfelVisibility
 from ocp_ros.scenes.scene import Scene, SceneError
 from ocp_ros.simulation.ray_visibility import RayVisibility
@@ -51,7 +51,8 @@ class View(NamedTuple):
     The view of one camera, as packed bits in the engine's order.
 
     :ivar seen: (W,) uint64, bits of the points that the camera sees, 64 in each of W words.
-    :ivar covered: (V,) uint64, the same for the cells of the coverage grid, in V words.
+    :ivar covered: (V,) uint64, the same for the cells of the coverage grid, and those of regions
+        of air, in V words.
     :ivar position: (3,) the position of the camera, metres, map frame; None for several positions
         at once.
     """
@@ -136,6 +137,7 @@ class Simulator:
                          'of %g m; going on with %g m', scene.name, *scene.size, asked_cell, cell)
         self.grid, self.cell_volume = coverage_grid(scene.bounds, cell)
         self.visibility = self._make_visibility()
+        self._set_places(self.grid)
         make_error = partial(_make_error, scene, self.visibility.order, config.engine)
         self.depth_error = make_error(config.engine.viewpoints)
         #: Built once, and shared with the simulators of other rigs in this scene.
@@ -159,6 +161,33 @@ class Simulator:
         other._set_models(models)
         other.config = config or self.config
         return other
+
+    def with_air(self, cells: np.ndarray) -> 'Simulator':
+        """
+        Return the same simulator with further cells of air, which do not count as space coverage.
+
+        :param cells: (S, 3) metres, map frame, the centres of the cells, such as of regions.
+        """
+        other = copy(self)
+        places = np.concatenate([self.grid, cells]).astype(np.float32)
+        other.visibility = self.visibility.with_places(places)
+        other._set_places(places)
+        return other
+
+    def _set_places(self, places: np.ndarray) -> None:
+        """Set the cells (M, 3) of the engine, the grid's first; ``visibility`` has them too."""
+        #: (M, 3) float32 in the engine's order, and the bits of those that are cells of the grid.
+        self.places = places[self.visibility.place_order]
+        self._grid_bits = pack(self.is_grid)
+
+    def coverage(self, covered: np.ndarray) -> float:
+        """Return the volume of the cells of the grid that are set in packed bits, m3."""
+        return space_coverage(covered & self._grid_bits, self.cell_volume)
+
+    @property
+    def is_grid(self) -> np.ndarray:
+        """Return which of the M places are cells of the coverage grid: (M,) bool."""
+        return self.visibility.place_order < len(self.grid)
 
     def _make_visibility(self) -> SurfelVisibility | CubeVisibility | RayVisibility:
         """Build the visibility of points and cells by the rules of the preset."""
@@ -202,7 +231,7 @@ class Simulator:
         :param camera: the index of the camera in the rig; unused if there is only one model.
         """
         pose, lens = self._aimed(pose, camera)
-        view = View(no_bits(len(self.scene)), no_bits(len(self.grid)), pose.position)
+        view = View(no_bits(len(self.scene)), no_bits(len(self.places)), pose.position)
         self.visibility.look(pose, lens, view.seen, view.covered)
         return view
 
@@ -219,7 +248,7 @@ class Simulator:
         arrays = CameraArrays.of(aimed)
         # A row of packed bits for each camera, none of them set.
         seen, covered = (np.array([no_bits(count)] * len(aimed))
-                         for count in (len(self.scene), len(self.grid)))
+                         for count in (len(self.scene), len(self.places)))
         self.visibility.look_from_all(arrays, seen, covered)
         return [View(*view) for view in zip(seen, covered, arrays.positions)]
 
@@ -263,7 +292,7 @@ class Simulator:
         seen = np.bitwise_or.reduce([view.seen for view in views])
         covered = np.bitwise_or.reduce([view.covered for view in views])
         return Evaluation(Subset(seen, self.visibility.order),
-                          space_coverage(covered, self.cell_volume), self.depth_error(seen))
+                          self.coverage(covered), self.depth_error(seen))
 
     def evaluate(self, placement: np.ndarray) -> Evaluation:
         """
@@ -342,7 +371,7 @@ class Simulator:
         if len(poses) < 2 or lens.kind == OMNIDIRECTIONAL or not isinstance(
                 visibility, (SurfelVisibility, RayVisibility)):
             return [self.look(pose, camera) for pose in poses]
-        around = View(no_bits(len(self.scene)), no_bits(len(self.grid)))
+        around = View(no_bits(len(self.scene)), no_bits(len(self.places)))
         visibility.look(Pose(poses[0, :3], LEVEL), lens._replace(kind=OMNIDIRECTIONAL),
                         around.seen, around.covered)
         return clipped(visibility, around, poses, lens)

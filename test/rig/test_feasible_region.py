@@ -462,7 +462,9 @@ def test_the_loss_counts_what_is_missing(room):
     ({'calibratable': {'overlap': 0}}, 'overlap'), ({'calibratable': {'overlap': 1.5}}, 'overlap'),
     ({'calibratable': {'angle': 200}}, 'angle'), ({'air': {'angle': 150}}, 'air.angle'),
     ({'air': {'seen_by': 3}}, r'regions\[0\].air.seen_by'),
-    ({'air': {}, 'box': [[1, 1, 1], [1.01, 1.01, 1.01]]}, 'no air')])
+    ({'air': {'around': True}}, r'regions\[0\].air.around'),
+    ({'air': {'around': True, 'seen_by': 2}}, 'at least 3'),
+    ({'air': {}, 'box': [[9, 9, 1], [9.01, 9.01, 1.01]]}, 'no air')])
 def test_what_cannot_be_calibrated_or_watched_is_refused(more, words):
     rig = {'cameras': [{'sensor': 'kinect_v2', 'count': 2}]}
     if 'air' in more:
@@ -472,9 +474,9 @@ def test_what_cannot_be_calibrated_or_watched_is_refused(more, words):
 
 
 @for_any(20, seed=st.integers(0, 9999), cameras=st.integers(1, 5), seen_by=st.integers(1, 4),
-         angle=st.floats(0.0, 100.0))
+         angle=st.floats(0.0, 100.0), gap=st.sampled_from([120.0, 200.0, 360.0]))
 def test_air_counts_where_enough_cameras_look_from_enough_directions(
-        seed, cameras, seen_by, angle):
+        seed, cameras, seen_by, angle, gap):
     rng = np.random.default_rng(seed)
     cells, positions = rng.uniform(0, 4, (100, 3)), rng.uniform(0, 4, (cameras, 3))
     seen = rng.random((cameras, 100)) < 0.7
@@ -483,9 +485,18 @@ def test_air_counts_where_enough_cameras_look_from_enough_directions(
     ways = cells[None] - positions[:, None]
     ways /= np.linalg.norm(ways, axis=2, keepdims=True)
     between = np.rad2deg(np.arccos(np.clip(np.einsum('ank,bnk->abn', ways, ways), -1, 1)))
+    headings = np.rad2deg(np.arctan2(ways[..., 1], ways[..., 0]))
+
+    def is_around(n):
+        """Return whether each direction is at most a gap from the next one to its left."""
+        own = headings[seen[:, n], n]
+        left = np.where(np.eye(len(own), dtype=bool), 360.0, (own - own[:, None]) % 360.0)
+        return gap == 360.0 or (len(own) > 0 and (left.min(axis=1) <= gap).all())
+
     found = [any(all(between[one, other, n] >= angle for one, other in combinations(some, 2))
-                 for some in combinations(np.flatnonzero(seen[:, n]), seen_by)) for n in numbers]
-    assert air_share(cells, numbers, views, seen_by, np.deg2rad(angle)) == np.mean(found)
+                 for some in combinations(np.flatnonzero(seen[:, n]), seen_by)) and is_around(n)
+             for n in numbers]
+    assert air_share(cells, numbers, views, seen_by, *np.deg2rad([angle, gap])) == np.mean(found)
     # Cameras that are everywhere at once see from all directions.
     everywhere = [view._replace(position=None) for view in views]
     enough = (seen[:, numbers].sum(axis=0) >= seen_by).mean()
@@ -500,7 +511,30 @@ def test_a_volume_that_two_cameras_watch_from_two_sides_is_planned_for():
     assert found.broken == () and found.gap is None
     (part,) = found.found['scores']['regions']
     assert part['of'] == 'air' and part['seen'] >= 0.9
-    # Side by side they do not do.
+    # Side by side they do not do, and two sides are not all sides.
+    around = dict(region, air={'seen_by': 3, 'around': True})
+    (part,) = score(box_room(), found.poses, rig_of(3, 'd455', mount=rig.document.data['mount'],
+                    regions=[around])).found['scores']['regions']
+    assert part['around'] and part['seen'] < 0.9
     beside = found.poses[[0, 0, 0]]
     beside[:, 0] += 0.01 * np.arange(3)
     assert score(box_room(), beside, rig).found['scores']['regions'][0]['seen'] == 0.0
+
+
+def test_a_region_of_air_of_any_size_counts_as_rays_see_it():
+    scene = Scene(np.concatenate([box_room().points, panel(3.0, (1.5, 2.5), (0.0, 1.0))]), 'panel')
+    pose = np.array([[2.2, 2.0, 1.2]])
+    for low, high in (([3.2, 1.0, 0.1], [3.7, 3.0, 0.6]), ([3.8, 1.8, 0.2], [3.9, 1.9, 0.3])):
+        rig = rig_of(1, 'omnidirectional', regions=[
+            {'name': 'low', 'air': {}, 'box': [low, high]}])
+        problem, plain = (Problem.of(scene, some) for some in (rig, rig_of(1, 'omnidirectional')))
+        found = problem.objective.evaluate(pose)
+        # A position is hidden if the way to it crosses the panel.
+        places = np.random.default_rng(0).uniform(low, high, (20_000, 3))
+        share = (3.0 - pose[0, 0]) / (places[:, 0] - pose[0, 0])
+        cross = pose + share[:, None] * (places - pose)
+        is_hidden = (abs(cross[:, 1] - 1.975) < 0.5) & (cross[:, 2] < 0.975)
+        assert is_hidden.mean() > 0.2
+        assert found.regions[0] == pytest.approx(1.0 - is_hidden.mean(), abs=0.05)
+        # Cells of regions are none of the space coverage.
+        assert found.space_coverage == plain.objective.evaluate(pose).space_coverage
