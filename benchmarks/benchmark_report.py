@@ -34,7 +34,7 @@ from ocp_ros.compare.protocol import RANDOM_PLACEMENTS
 from ocp_ros.compare.summary import budgets_of, last_runs
 from ocp_ros.report.drawing.room_drawing import INK, PALE_INK
 from ocp_ros.report.drawing.saved_pictures import save_figure
-from ocp_ros.report.exports import escape_markdown
+from ocp_ros.report.installer_page import escape_markdown
 from ocp_ros.search.registry import planner_names, PLANNERS, SCORES
 from ocp_ros.util.files import write_atomically
 from ocp_ros.util.terminal_text import printable

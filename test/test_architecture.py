@@ -26,7 +26,8 @@ import ocp_ros
 PACKAGE = ROOT / 'ocp_ros'
 #: Each layer may import itself, those before it and the modules that stand beside the layers.
 LAYERS = ['util', 'geometry', 'scenes', 'rooms', 'rig', 'simulation', 'registration', 'online',
-          'policy', 'search', 'report', 'studio', 'training', 'compare', 'ros', 'demo', 'cli']
+          'policy', 'search', 'report', 'formats', 'studio', 'training', 'compare', 'ros', 'demo',
+          'cli']
 BESIDE = {'__version__', 'api'}
 #: Packages that only some layers may import at all.
 ONLY = {

@@ -143,7 +143,7 @@ def test_every_command_in_the_documentation_can_be_read():
     for command in COMMANDS:
         parser.parse_args(command)
     assert {command[0] for command in COMMANDS} == {
-        'plan', 'info', 'score', 'calibrate', 'view', 'room', 'rooms', 'train',
+        'plan', 'info', 'score', 'calibrate', 'export', 'view', 'room', 'rooms', 'train',
         'benchmark', 'replay', 'studio'}
 
 

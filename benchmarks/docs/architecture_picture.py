@@ -40,7 +40,8 @@ LAYERS = {
     'online': 'partial map, planners without a scan',
     'policy': 'networks, weights, who runs them',
     'search': 'planners that know the scan, and the proof',
-    'report': 'a planned rig, its findings, pages and files',
+    'report': 'a planned rig, its findings and pages',
+    'formats': 'files for other programs',
     'studio': 'a page on which cameras are moved',
     'training': 'soft actor-critic',
     'compare': 'one protocol for all planners',
@@ -72,11 +73,11 @@ def draw(path: Path) -> None:
     axes.set_axis_off()
     _title(axes, 0.3, 'Layers: each imports those below it')
     for number, (name, about) in enumerate(LAYERS.items()):
-        bottom = 0.2 + 0.29 * number
-        _box(axes, 0.3, bottom, 4.3, 0.25, FILLS[number % 2])
-        axes.text(0.45, bottom + 0.125, name, fontsize=9.0, fontweight='bold', color=INK,
+        bottom = 0.2 + 0.275 * number
+        _box(axes, 0.3, bottom, 4.3, 0.24, FILLS[number % 2])
+        axes.text(0.45, bottom + 0.12, name, fontsize=9.0, fontweight='bold', color=INK,
                   va='center', zorder=3)
-        axes.text(1.55, bottom + 0.125, about, fontsize=7.5, color=PALE_INK, va='center',
+        axes.text(1.55, bottom + 0.12, about, fontsize=7.5, color=PALE_INK, va='center',
                   zorder=3)
     _title(axes, 5.2, 'Nodes and topics')
     for name, (x, y) in NODES.items():
@@ -90,7 +91,7 @@ def draw(path: Path) -> None:
                   ha='center', va='center', bbox={'facecolor': 'white', 'edgecolor': 'none',
                                                   'pad': 1.5})
     axes.text(5.2, 0.95, 'Without ROS: ocp on a shell uses the same layers, from scenes\n'
-              'to report, and CameraPlacementEnv is a Gymnasium environment.', fontsize=8,
+              'to formats, and CameraPlacementEnv is a Gymnasium environment.', fontsize=8,
               color=PALE_INK, va='center', zorder=3)
     save_figure(figure, path)
 

@@ -155,6 +155,13 @@ def add_frame(command: argparse.ArgumentParser) -> None:
                          'that two rigs have different frames')
 
 
+def add_export(command: argparse.ArgumentParser, default: str = 'default') -> None:
+    """Add the option ``--export``, the formats of the written files."""
+    command.add_argument('--export', type=read_names, default=(default,), metavar='FORMATS',
+                         help='formats of the written files, with commas between, such as '
+                         f'default,colmap,usd: docs/reference/formats.md; default: {default}')
+
+
 def read_frame_prefix(text: str) -> str:
     """Read the prefix of the names of camera frames."""
     if not re.fullmatch(r'([A-Za-z_][A-Za-z0-9_/]*)?', text):

@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ocp_ros.cli.arguments import (
+    add_export,
     add_overwrite,
     add_placement,
     add_reading,
@@ -68,6 +69,7 @@ def add_arguments(commands: Commands) -> None:
                          'and the figures here')
     command.add_argument('--frame-prefix', type=read_frame_prefix, default='', metavar='NAME',
                          help='before the names of frames in the launch file')
+    add_export(command, 'launch')
     add_overwrite(command)
     add_reading(command)
     command.set_defaults(run=run, show=show)
@@ -75,18 +77,22 @@ def add_arguments(commands: Commands) -> None:
 
 def run(arguments: argparse.Namespace) -> Found:
     """Register each camera that has a cloud, write the poses and return the results."""
+    from ocp_ros.formats.exported import Exported
+    from ocp_ros.formats.exports import export, FORMATS, formats_named, WRITTEN
     from ocp_ros.registration.calibration import answer_of, as_built, calibrate
     from ocp_ros.registration.scan_surfaces import ScanSurfaces
-    from ocp_ros.report.exports import launch_of
-    from ocp_ros.rig.placement_file import load_placement, save_placement
+    from ocp_ros.rig.placement_file import load_placement
     from ocp_ros.rig.rig_file import load_rig
     from ocp_ros.util.files import file_set, folder_to_write, write_atomically
     # Check the command line and read the inputs. A text of ``--clouds`` is FILE or CAMERA=FILE.
     inputs = [arguments.bag] if arguments.bag else [
         text.partition('=')[2] or text for text in arguments.clouds]
-    written = placement_name, launch_name, figures_name = (
-        'placement.yaml', 'cameras.launch.py', 'calibration.json')
-    claim_folder(arguments, arguments.out, written, figures_name, inputs)
+    formats, figures_name = formats_named(arguments.export, '--export'), 'calibration.json'
+    if drawn := [name for name in formats if FORMATS[name].room]:
+        raise ConfigurationError(
+            f'--export: found {drawn[0]}, which is about the whole room; expected other formats; '
+            'run ocp score with the placement as built')
+    claim_folder(arguments, arguments.out, (*WRITTEN, figures_name), figures_name, inputs)
     rig = load_rig(arguments.rig) if arguments.rig else None
     placement = load_placement(arguments.placement, rig)
     names = [placed.camera.name for placed in placement.cameras]
@@ -101,13 +107,12 @@ def run(arguments: argparse.Namespace) -> Found:
     rows = [answer_of(placed, calibrations[name]) if name in calibrations else
             {'camera': name, 'refused': failures.get(name, 'it has no cloud')}
             for name, placed in zip(names, placement.cameras)]
-    result: Found = {'cameras': rows, 'written': [str(arguments.out / name) for name in written]}
-    # Write the files; the launch file leaves out refused cameras.
-    with file_set(arguments.out, written, figures_name) as unfinished:
-        save_placement(unfinished / placement_name, built)
+    result: Found = {'cameras': rows, 'written': []}
+    # Write the files, without refused cameras except for the placement.
+    with file_set(arguments.out, (*WRITTEN, figures_name), figures_name) as unfinished:
         refused = [row['camera'] for row in rows if row['refused']]
-        launch = launch_of(built, prefix=arguments.frame_prefix, omitted=refused)
-        write_atomically(unfinished / launch_name, launch)
+        result |= export(unfinished, Exported(built, arguments.frame_prefix, refused), formats)
+        result['written'] += [str(arguments.out / figures_name)]
         write_atomically(unfinished / figures_name, json_text(result) + '\n')
     if all(row['refused'] for row in rows):
         result['error'] = (

@@ -21,8 +21,8 @@ import sys
 from ocp_ros.cli.common import Commands, run
 
 #: The commands, in the order of the help; the module of each is ``NAME_command``.
-COMMANDS = ('plan', 'score', 'calibrate', 'info', 'view', 'studio', 'room', 'rooms', 'train',
-            'benchmark', 'replay')
+COMMANDS = ('plan', 'score', 'calibrate', 'export', 'info', 'view', 'studio', 'room', 'rooms',
+            'train', 'benchmark', 'replay')
 
 
 def build_commands(name: str = '') -> Commands:

@@ -27,6 +27,7 @@ import time
 from typing import TYPE_CHECKING
 
 from ocp_ros.cli.arguments import (
+    add_export,
     add_frame,
     add_overwrite,
     add_points,
@@ -87,6 +88,7 @@ def add_arguments(commands: Commands) -> None:
     command.add_argument('--seed', type=read_seed, default=0, help='random seed')
     command.add_argument('--out', type=Path, default=Path('out/plan'), metavar='DIR',
                          help='folder for report, placement, CSV, launch file, xacro and more')
+    add_export(command)
     add_frame(command)
     add_overwrite(command)
     add_points(command)
@@ -96,9 +98,11 @@ def add_arguments(commands: Commands) -> None:
 
 def run(arguments: argparse.Namespace) -> Found:
     """Plan a rig in a room, write the placement in all file formats and return the data."""
-    from ocp_ros.report.exports import MARK, write_files, WRITTEN
+    from ocp_ros.formats.exported import Exported
+    from ocp_ros.formats.exports import export, formats_named, MARK, REPORTS, WRITTEN
     from ocp_ros.report.rig_planning import PlannedRig
     from ocp_ros.util.files import folder_to_write
+    formats = formats_named(arguments.export, '--export')
     task = task_of(arguments)
     claim_folder(arguments, arguments.out, WRITTEN, MARK)
     rig = rig_asked(arguments)
@@ -112,8 +116,9 @@ def run(arguments: argparse.Namespace) -> Found:
     with _keep_placement(folder, placement) as unfinished:
         assessed = planned.assessment_of(placement, arguments.frame)
         # After Ctrl-C no report is drawn.
-        outputs = write_files(unfinished, assessed, arguments.frame_prefix, brief=budget.stopped)
-        return {**assessed.found, **outputs}
+        formats = [name for name in formats if not (budget.stopped and name in REPORTS)]
+        exported = Exported(assessed.placement, arguments.frame_prefix, assessed=assessed)
+        return {**assessed.found, **export(unfinished, exported, formats)}
 
 
 def show(result: Found) -> None:
@@ -142,7 +147,7 @@ def task_of(arguments: argparse.Namespace) -> 'PlanTask':
 @contextmanager
 def _keep_placement(folder: Path, placement: 'Placement') -> Iterator[Path]:
     """Save a placement, so that a Ctrl-C during the evaluation keeps it; see ``file_set``."""
-    from ocp_ros.report.exports import MARK, PLACEMENT_FILES, WRITTEN
+    from ocp_ros.formats.exports import MARK, PLACEMENT_FILES, WRITTEN
     from ocp_ros.rig.placement_file import save_placement
     from ocp_ros.util.files import file_set
     is_saved = False

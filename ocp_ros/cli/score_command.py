@@ -18,6 +18,7 @@ import argparse
 from pathlib import Path
 
 from ocp_ros.cli.arguments import (
+    add_export,
     add_frame,
     add_overwrite,
     add_placement,
@@ -37,6 +38,7 @@ def add_arguments(commands: Commands) -> None:
     add_placement(command)
     command.add_argument('--out', type=Path, metavar='DIR', help='folder for report, placement, '
                          'CSV, launch file, xacro and more')
+    add_export(command)
     add_frame(command)
     add_overwrite(command)
     add_points(command)
@@ -46,9 +48,11 @@ def add_arguments(commands: Commands) -> None:
 
 def run(arguments: argparse.Namespace) -> Found:
     """Evaluate a placement, write its files if ``--out`` is given, and return the findings."""
+    from ocp_ros.formats.exported import Exported
+    from ocp_ros.formats.exports import export, formats_named, MARK, WRITTEN
     from ocp_ros.report.assessment import assess
-    from ocp_ros.report.exports import MARK, write_files, WRITTEN
     from ocp_ros.util.files import file_set, folder_to_write
+    formats = formats_named(arguments.export, '--export')
     if arguments.out:
         claim_folder(arguments, arguments.out, WRITTEN, MARK)
     scene, placement, room = room_and_placement(arguments)
@@ -56,8 +60,9 @@ def run(arguments: argparse.Namespace) -> Found:
     assessed = assess(scene, placement, room, command_of(arguments.argv), arguments.frame)
     if folder is None:
         return assessed.found
+    exported = Exported(assessed.placement, arguments.frame_prefix, assessed=assessed)
     with file_set(folder, WRITTEN, MARK) as unfinished:
-        return {**assessed.found, **write_files(unfinished, assessed, arguments.frame_prefix)}
+        return {**assessed.found, **export(unfinished, exported, formats)}
 
 
 def show(result: Found) -> None:

@@ -17,7 +17,14 @@
 import argparse
 from pathlib import Path
 
-from ocp_ros.cli.arguments import add_points, add_reading, room_and_placement, room_asked, whole
+from ocp_ros.cli.arguments import (
+    add_export,
+    add_points,
+    add_reading,
+    room_and_placement,
+    room_asked,
+    whole,
+)
 from ocp_ros.cli.common import command_of, Commands, Found, LOOK
 from ocp_ros.studio import FIRST_PORT, LOCAL_ADDRESS
 from ocp_ros.util.resources import find_config
@@ -42,6 +49,7 @@ def add_arguments(commands: Commands) -> None:
     studio.add_argument('--port', type=whole(0, 65535, 'a number'), default=FIRST_PORT,
                         help='port, or the first one to try; 0: any free one; default: '
                              f'{FIRST_PORT}')
+    add_export(studio)
     add_points(studio)
     add_reading(studio)
     studio.set_defaults(run=run, show=lambda found: None)
@@ -70,7 +78,7 @@ def run(arguments: argparse.Namespace) -> Found:
             CAMERAS, 'realsense_d455', mount={'on': MOUNT})
         scene, room = room_asked(arguments, {})
         studio = Studio(scene, room, rig, command=command_of(arguments.argv))
-    folder = Folder(arguments.out)
+    folder = Folder(arguments.out, arguments.export)
     server, url = start_server(arguments.host, arguments.port)
     page = Page(server, studio, folder)
     print(f'the studio is at {url} (Ctrl-C ends it); files: {folder.path}', flush=True)

@@ -169,6 +169,25 @@ class CameraModel:
                        float(half_horizontal), float(half_vertical))
 
 
+def view_grid(model: CameraModel, rows: int, columns: int) -> np.ndarray:
+    """
+    Return directions that cover a field of view evenly, its edges included.
+
+    :returns: (rows, columns, 3) unit vectors, body frame: from top to bottom, from left to right.
+    """
+    lens = model.lens
+    vertical, horizontal = np.meshgrid(np.linspace(1.0, -1.0, rows),
+                                       np.linspace(1.0, -1.0, columns), indexing='ij')
+    if lens.kind == PINHOLE:
+        # For a pinhole camera the halves are tangents, which are coordinates at x = 1.
+        directions = np.stack([np.ones_like(vertical), horizontal * lens.half_horizontal,
+                               vertical * lens.half_vertical], axis=-1)
+        return directions / np.linalg.norm(directions, axis=-1, keepdims=True)
+    azimuth, elevation = horizontal * lens.half_horizontal, vertical * lens.half_vertical
+    return np.stack([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth),
+                     np.sin(elevation)], axis=-1)
+
+
 def rotation_matrix(yaw: float = 0.0, pitch: float = 0.0, roll: float = 0.0) -> np.ndarray:
     """
     Return the rotation from a camera's body frame (x forward, y left, z up) to the map frame.

@@ -30,6 +30,9 @@ from ocp_ros.rig.structure import Floors
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.scenes.source_frame import SourceFrame
 
+#: Colours that are distinct with any kind of colour vision, without red: red marks missed points.
+CAMERA_COLOURS = ('#0072b2', '#e69f00', '#009e73', '#cc79a7', '#56b4e9', '#332288', '#f0e442',
+                  '#8c6d31')
 #: A smaller angle counts as 0: straight, level, upright.
 ZERO_ANGLE_DEGREES = 0.5
 #: Column heads of the installer's table for the fields of :class:`Instructions`.
@@ -115,6 +118,11 @@ def aim_text(placed: Placed, scene: Scene, sides: Sequence[ReferenceWall], floor
     texts = [f'{100.0 * wall_distances[wall]:.0f} cm from wall {sides[wall].letter}'
              for wall in sorted(near_walls, key=wall_distances.__getitem__)]
     return ', '.join([height, *texts])
+
+
+def camera_colour(number: int) -> str:
+    """Return the colour of a camera by its number from 0; colours repeat after eight."""
+    return CAMERA_COLOURS[number % len(CAMERA_COLOURS)]
 
 
 def camera_label(name: str, mount: str) -> str:

@@ -14,13 +14,14 @@
 
 """Files of the studio, all in the folder that the command was given."""
 
-from itertools import chain
+from collections.abc import Sequence
 from pathlib import Path
 import re
 
 import numpy as np
+from ocp_ros.formats.exported import Exported
+from ocp_ros.formats.exports import export, formats_named, MARK, WRITTEN
 from ocp_ros.report.assessment import assess
-from ocp_ros.report.exports import export, MARK, reports, WRITTEN
 from ocp_ros.rig.placement_file import load_placement, Placement, save_placement
 from ocp_ros.rig.rig_file import load_rig, Rig
 from ocp_ros.scenes.scene import Scene
@@ -34,9 +35,11 @@ class Folder:
     The folder for files of the studio; no file name leads out of this folder.
 
     :param path: of the folder, which is created.
+    :param formats: formats of exported placements.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, formats: Sequence[str] = ('default',)) -> None:
+        self._formats = formats_named(formats, '--export')
         self.path = folder_to_write(path).resolve()
         #: Files and folders that this studio has read or written, which it may replace.
         self._replaceable_paths: set[Path] = set()
@@ -106,16 +109,20 @@ class Folder:
 
     def export(self, name: str, scene: Scene, placement: Placement, command: str) -> list[str]:
         """
-        Write a placement and its reports, as ``ocp plan`` does, to a new folder.
+        Write a placement in all formats, as ``ocp plan`` does, to a new folder.
 
         :param name: of the folder.
         :param scene: the room of the studio.
         :param command: the command line, for the record in the placement file.
         :returns: the names of the files.
+        :raises ConfigurationError: if a format cannot contain the placement.
         """
         assessment = assess(scene, placement, placement.room, command)
         folder = folder_to_write(self.claim_path(name, ''))
         # The files appear together in the folder, once all of them are written.
         with file_set(folder, WRITTEN, MARK) as unfinished:
-            return [path.name for path in chain(export(unfinished, assessment),
-                                                reports(unfinished, assessment))]
+            found = export(unfinished, Exported(assessment.placement, assessed=assessment),
+                           self._formats)
+        if 'error' in found:
+            raise ConfigurationError(found['error'])
+        return [Path(path).name for path in found['written']]

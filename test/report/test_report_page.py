@@ -33,8 +33,8 @@ from ocp_ros.report.drawing.plan_drawing import move_apart
 from ocp_ros.report.drawing.room_drawing import room_of
 from ocp_ros.report.drawing.room_pictures import draw_placement
 from ocp_ros.report.drawing.saved_pictures import shortened, width_of
-from ocp_ros.report.exports import installer_page
 from ocp_ros.report.facts import count_text, facts_of, metres, page_facts_of
+from ocp_ros.report.installer_page import installer_page
 from ocp_ros.report.terminal import as_text, print_table, show_score
 from ocp_ros.report.viewer import tables_of
 from ocp_ros.rig.placement_file import placement_of

@@ -26,13 +26,16 @@ import xml.etree.ElementTree as ElementTree
 
 from conftest import box_room, l_shaped, made_room, panel, refused_in_one_sentence
 import numpy as np
+from ocp_ros.formats.exported import Exported
+from ocp_ros.formats.exports import csv_of
+from ocp_ros.formats.ros_files import launch_of, rviz_of, xacro_of
 from ocp_ros.geometry.cameras import rotation_matrix
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.report.assessment import assess
 from ocp_ros.report.camera_words import instructions_for
-from ocp_ros.report.exports import csv_of, installer_page, launch_of, rviz_of, xacro_of
 from ocp_ros.report.facts import facts_of, metres
 from ocp_ros.report.findings import scores_of
+from ocp_ros.report.installer_page import installer_page
 from ocp_ros.report.wall_references import WallReferences, walls_around
 from ocp_ros.rig.feasible_region import FeasibleRegion
 from ocp_ros.rig.placement_file import load_placement, placement_of, save_placement
@@ -234,7 +237,7 @@ def test_the_launch_file_publishes_the_cameras_frames(mixed, monkeypatch):
                            ('launch_ros.actions', {'Node': dict})):
         monkeypatch.setitem(sys.modules, name, SimpleNamespace(**contents))
     placement, content = placement_of(mixed, POSES), {}
-    exec(launch_of(placement), content)
+    exec(launch_of(Exported(placement)), content)
     nodes = content['generate_launch_description']()
     assert {node['executable'] for node in nodes} == {'static_transform_publisher'}
     assert len({node['name'] for node in nodes}) == 8
@@ -244,8 +247,9 @@ def test_the_launch_file_publishes_the_cameras_frames(mixed, monkeypatch):
 
 def test_the_xacro_file_has_the_same_frames(mixed):
     placement, frames = placement_of(mixed, POSES), []
-    macro, = ElementTree.fromstring(xacro_of(placement))
-    assert macro.tag == '{http://www.ros.org/wiki/xacro}macro' and macro.get('params') == 'parent'
+    macro, = ElementTree.fromstring(xacro_of(Exported(placement)))
+    assert macro.tag == '{http://www.ros.org/wiki/xacro}macro'
+    assert macro.get('params') == 'parent gazebo:=false'
     for joint in macro.iter('joint'):
         parent, child = (joint.find(end).get('link') for end in ('parent', 'child'))
         xyz, rpy = (np.array(joint.find('origin').get(key).split(), dtype=float)
@@ -257,7 +261,7 @@ def test_the_xacro_file_has_the_same_frames(mixed):
 
 
 def test_the_table_has_a_row_for_each_camera(mixed):
-    rows = list(csv.DictReader(io.StringIO(csv_of(placement_of(mixed, POSES)))))
+    rows = list(csv.DictReader(io.StringIO(csv_of(Exported(placement_of(mixed, POSES))))))
     assert [row['name'] for row in rows] == ['azure_kinect_nfov', 'wide_1', 'wide_2', 'x']
     assert [row['mount'] for row in rows] == ['free', 'free', 'free', 'fixed']
     assert float(rows[2]['yaw']) == pytest.approx(np.rad2deg(-1.5), abs=1e-3)
@@ -406,7 +410,7 @@ def test_the_verdict_says_what_is_doubtful_and_space_is_that_of_the_room():
 
 def test_rviz_shows_the_frame_that_the_launch_file_publishes_in():
     poses = np.array([[1.0, 2.0, 2.0], [3.0, 4.0, 2.0]])
-    placement = replace(placement_of(rig_of(2), poses), frame='hall')
+    placement = Exported(replace(placement_of(rig_of(2), poses), frame='hall'))
     manager = yaml.safe_load(rviz_of(placement))['Visualization Manager']
     assert manager['Global Options']['Fixed Frame'] == 'hall'
     assert "('hall', 'camera_0'" in launch_of(placement)
@@ -417,6 +421,6 @@ def test_rviz_shows_the_frame_that_the_launch_file_publishes_in():
 
 @pytest.mark.parametrize('text_of', [launch_of, xacro_of, csv_of])
 def test_frames_of_two_rigs_are_told_apart(mixed, text_of):
-    text = text_of(placement_of(mixed, POSES), prefix='a_')
+    text = text_of(Exported(placement_of(mixed, POSES), 'a_'))
     assert 'a_camera_0' in text and not re.search(r'(?<!a_)camera_[0-9]', text)
     assert text_of is csv_of or 'a_camera_0_optical' in text

@@ -26,7 +26,14 @@ from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.patches import Patch, Polygon
 import numpy as np
-from ocp_ros.geometry.cameras import CameraModel, OMNIDIRECTIONAL, PINHOLE, rotation_matrix
+from ocp_ros.geometry.cameras import (
+    CameraModel,
+    OMNIDIRECTIONAL,
+    PINHOLE,
+    rotation_matrix,
+    view_grid,
+)
+from ocp_ros.report.camera_words import camera_colour
 from ocp_ros.report.drawing.room_drawing import draw_discs, INK, Room
 from ocp_ros.report.wall_references import InnerWall, ReferenceWall
 from ocp_ros.rig.placement_file import Placement
@@ -35,9 +42,6 @@ from ocp_ros.rig.zones import Zone
 from scipy import ndimage
 from scipy.spatial import ConvexHull
 
-#: Colours that are distinct with any kind of colour vision, without red: red marks missed points.
-CAMERA_COLOURS = ('#0072b2', '#e69f00', '#009e73', '#cc79a7', '#56b4e9', '#332288', '#f0e442',
-                  '#8c6d31')
 NO_POSITIONS = np.empty((0, 2))
 #: Number of directions along each edge of a field of view.
 EDGE_STEPS = 25
@@ -47,11 +51,6 @@ STYLES = {
     'weighted region': {'edgecolor': '#00664d', 'hatch': '..', 'linestyle': '--'},
     'keep-out zone': {'edgecolor': '#9c2f6b', 'hatch': 'xx', 'linestyle': '-'},
     'mounting zone': {'edgecolor': '#0072b2', 'hatch': '', 'linestyle': '-.'}}
-
-
-def camera_colour(number: int) -> str:
-    """Return the colour of a camera by its number from 0; colours repeat after eight."""
-    return CAMERA_COLOURS[number % len(CAMERA_COLOURS)]
 
 
 def draw_plan(axes: Axes, room: Room, ranges: Sequence[np.ndarray], fill: float = 0.2) -> None:
@@ -198,20 +197,9 @@ def rim(model: CameraModel) -> np.ndarray:
 
     :returns: (M, 3) unit vectors, body frame (x forward, y left, z up).
     """
-    lens, steps = model.lens, np.linspace(-1.0, 1.0, EDGE_STEPS)
-    ones = np.ones_like(steps)
-    # Four edges of a square from -1 to 1: bottom, left, top and right. Left is 1, as y is left.
-    horizontal = np.concatenate([steps, ones, -steps, -ones])
-    vertical = np.concatenate([-ones, steps, ones, -steps])
-    if lens.kind == PINHOLE:
-        # For a pinhole camera the halves are tangents, which are coordinates at x = 1.
-        directions = np.column_stack([np.ones(len(horizontal)), horizontal * lens.half_horizontal,
-                                      vertical * lens.half_vertical])
-        return directions / np.linalg.norm(directions, axis=1, keepdims=True)
-    azimuth = horizontal * 0.5 * model.horizontal_fov
-    elevation = vertical * 0.5 * model.vertical_fov
-    return np.column_stack([np.cos(elevation) * np.cos(azimuth),
-                            np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
+    grid = view_grid(model, EDGE_STEPS, EDGE_STEPS)
+    # Bottom, left, top and right edge; the grid begins at the top left corner.
+    return np.concatenate([grid[-1, ::-1], grid[::-1, 0], grid[0], grid[:, -1]])
 
 
 def reach(model: CameraModel, pose: np.ndarray, heights: Sequence[float]) -> np.ndarray:
