@@ -22,7 +22,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from ocp_ros.formats.building_models import ifc_of
 from ocp_ros.formats.exported import Exported
+from ocp_ros.formats.floor_plans import dxf_of
 from ocp_ros.formats.photogrammetry import colmap_of, metropolis_of, nerfstudio_of
 from ocp_ros.formats.ros_files import launch_of, rviz_of, sdf_of, xacro_of
 from ocp_ros.formats.scene_models import gltf_of, usd_of
@@ -128,7 +130,9 @@ FORMATS = {**DEFAULT,
            'colmap': Format(('cameras.txt', 'images.txt', 'points3D.txt'), texts(colmap_of)),
            'metropolis': Format(('metropolis_calibration.json',), texts(metropolis_of)),
            'usd': Format(('cameras.usda',), texts(usd_of)),
-           'gltf': Format(('cameras.gltf',), texts(gltf_of))}
+           'gltf': Format(('cameras.gltf',), texts(gltf_of)),
+           'dxf': Format(('plan.dxf',), texts(dxf_of), True, 'ezdxf'),
+           'ifc': Format(('cameras.ifc',), texts(ifc_of), False, 'ifcopenshell')}
 #: The names of all files that a placement may have.
 WRITTEN = tuple(name for one in FORMATS.values() for name in one.files)
 

@@ -14,19 +14,26 @@
 
 """What is exported, as programs of others read it."""
 
+from dataclasses import replace
+import io
 import json
 import xml.etree.ElementTree as ElementTree
 
-from conftest import refused_in_one_sentence
+from conftest import box_room, refused_in_one_sentence
 import numpy as np
 from ocp_ros.cli.main import main
+from ocp_ros.formats.building_models import ifc_of
 from ocp_ros.formats.exported import Exported, pose_matrix
+from ocp_ros.formats.floor_plans import dxf_of
 from ocp_ros.formats.photogrammetry import colmap_of, metropolis_of, nerfstudio_of
 from ocp_ros.formats.ros_files import sdf_of, xacro_of
 from ocp_ros.formats.scene_models import field_of_view_body, gltf_of, usd_of
 from ocp_ros.geometry.cameras import PINHOLE
+from ocp_ros.geometry.engine_config import EngineConfig
+from ocp_ros.report.assessment import assess
 from ocp_ros.rig.placement_file import placement_of
 from ocp_ros.rig.rig_file import rig_of
+from ocp_ros.scenes.scene import Scene
 import pytest
 
 POSES = np.array([[2.0, 2.0, 2.2, 0.3, 0.4, 0.1], [1.0, 3.0, 1.7, 3.5, -0.5, 0.0]])
@@ -38,6 +45,18 @@ FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
 def exported():
     """Return two cameras whose pixels are not square."""
     return Exported(placement_of(rig_of(2, 'azure_kinect_nfov'), POSES))
+
+
+@pytest.fixture(scope='module')
+def in_a_room():
+    """Return two cameras on the walls of a room of 6 x 4 m, 2.8 m high, whose floor is at 1 m."""
+    scene = box_room()
+    room = Scene(scene.points + np.array([0.0, 0.0, 1.0], dtype='f4'), 'hall')
+    rig = rig_of(2, 'd455', mount={'on': 'walls'}, keep_out=[{'box': [[0, 0, 0], [1, 1, 3]]}])
+    poses = np.array([[0.1, 2.0, 3.0, 0.2, 0.4, 0.0], [3.0, 3.9, 3.2, -1.5, 0.5, 0.0]])
+    engine = EngineConfig(preset='fast', error_rows=32)
+    assessed = assess(room, placement_of(rig, poses, engine=engine), {'sha256': ''}, 'ocp score')
+    return Exported(assessed.placement, assessed=assessed)
 
 
 def check_pose(world_from_optical, placed):
@@ -197,3 +216,72 @@ def test_a_placement_is_exported_without_its_room(tmp_path, monkeypatch, capsys)
     for option, words in (('colmpa', "did you mean 'colmap'"), ('installer', 'name it by --room')):
         assert main(['export', 'placement.yaml', '--to', option]) == 2
         assert words in capsys.readouterr().err
+
+
+def test_a_drawing_has_walls_cameras_fields_of_view_and_sizes(in_a_room):
+    ezdxf = pytest.importorskip('ezdxf', reason='ezdxf reads DXF files')
+    drawing = ezdxf.read(io.StringIO(dxf_of(in_a_room)))
+    assert drawing.units == ezdxf.units.M and not drawing.audit().errors
+    space = drawing.modelspace()
+    cameras = list(space.query('INSERT[layer=="CAMERAS"]'))
+    outlines = list(space.query('LWPOLYLINE[layer=="FIELD_OF_VIEW"]'))
+    for camera, outline, placed in zip(cameras, outlines, in_a_room.placement.cameras,
+                                       strict=True):
+        assert tuple(camera.dxf.insert) == pytest.approx(placed.position)
+        assert camera.dxf.rotation == pytest.approx(placed.angles[0])
+        told = {attribute.dxf.tag: attribute.dxf.text for attribute in camera.attribs}
+        assert told['NAME'] == placed.camera.name and float(told['PITCH']) == placed.angles[1]
+        # What is seen lies ahead: within the field of view, seen from above, about the heading.
+        offsets = np.array([point[:2] for point in outline]) - placed.position[:2]
+        offsets = offsets[np.linalg.norm(offsets, axis=1) > 0.01]
+        turned = np.arctan2(offsets[:, 1], offsets[:, 0]) - np.deg2rad(placed.angles[0])
+        turned = np.abs((turned + np.pi) % (2.0 * np.pi) - np.pi)
+        assert 0.5 * placed.camera.model.horizontal_fov <= turned.max() + 0.01 < 0.5 * np.pi
+        assert np.linalg.norm(offsets, axis=1).max() <= placed.camera.model.max_range
+    lengths = sorted((line.dxf.end - line.dxf.start).magnitude
+                     for line in space.query('LINE[layer=="WALLS"]'))
+    assert lengths == pytest.approx([4.0, 4.0, 6.0, 6.0], abs=0.12)
+    # The sides of the room, and the distances of each camera from two walls.
+    sizes = sorted(one.get_measurement() for one in space.query('DIMENSION[layer=="DIMENSIONS"]'))
+    assert sizes == pytest.approx([0.1, 0.1, 2.0, 3.0, 4.0, 4.0, 6.0, 6.0], abs=0.03)
+    assert len(space.query('LWPOLYLINE[layer=="ZONES"]')) == 1
+
+
+def test_a_building_model_has_the_cameras_in_its_storey(in_a_room, tmp_path):
+    ifcopenshell = pytest.importorskip('ifcopenshell', reason='ifcopenshell reads IFC files')
+    from ifcopenshell.util import element, placement, unit
+    (tmp_path / 'cameras.ifc').write_text(ifc_of(in_a_room))
+    model = ifcopenshell.open(tmp_path / 'cameras.ifc')
+    assert unit.calculate_unit_scale(model) == 1.0
+    storey, = model.by_type('IfcBuildingStorey')
+    assert storey.Elevation == pytest.approx(1.0, abs=0.01)
+    sensors = model.by_type('IfcSensor')
+    for sensor, placed in zip(sensors, in_a_room.placement.cameras, strict=True):
+        assert element.get_container(sensor) == storey and sensor.Name == placed.camera.name
+        np.testing.assert_allclose(placement.get_local_placement(sensor.ObjectPlacement),
+                                   pose_matrix(placed), atol=1e-6)
+        told = element.get_psets(sensor)['Ocp_DepthCamera']
+        assert told['HorizontalFieldOfView'] == pytest.approx(placed.camera.model.horizontal_fov)
+        assert told['MaxRange'] == placed.camera.model.max_range
+        settings = ifcopenshell.geom.settings()
+        body = ifcopenshell.geom.create_shape(settings, sensor).geometry
+        assert np.ptp(np.array(body.verts).reshape(-1, 3), axis=0).max() < 0.2
+        kinds = [one.RepresentationIdentifier for one in sensor.Representation.Representations]
+        assert kinds == ['Body', 'Clearance']
+    # A room that is a building model gets the cameras in its own units, axes and storeys.
+    text = (tmp_path / 'cameras.ifc').read_text()
+    millimetres = text.replace('IFCSIUNIT(*,.LENGTHUNIT.,$,.METRE.)',
+                               'IFCSIUNIT(*,.LENGTHUNIT.,.MILLI.,.METRE.)')
+    assert millimetres != text
+    path = tmp_path / 'house.ifc'
+    path.write_text(millimetres)
+    matrix = np.diag([1000.0, 1000.0, 1000.0, 1.0])
+    matrix[0, 3] = 5000.0
+    moved = replace(in_a_room.original, room={'file': str(path),
+                                              'source_from_map': matrix.tolist()})
+    path.write_text(ifc_of(Exported(moved)))
+    sensors = ifcopenshell.open(path).by_type('IfcSensor')
+    assert len(sensors) == 4
+    found = placement.get_local_placement(sensors[2].ObjectPlacement)[:3, 3]
+    there = np.array(moved.cameras[0].position) + [5.0, 0.0, 0.0]
+    assert found == pytest.approx(1000.0 * there)
