@@ -112,6 +112,14 @@ def _write_page(exported: Exported, path: Path) -> None:
     write_view(path, exported.assessed.scene, exported.assessed)
 
 
+def _write_sheets(paper: str) -> Callable[..., None]:
+    """Return the writer of the sheets for the installer on a paper, such as A4."""
+    def write(exported: Exported, path: Path) -> None:
+        from ocp_ros.report.drawing.plan_sheets import write_sheets
+        write_sheets(path, exported.assessed, paper)
+    return write
+
+
 #: Reports, which take seconds to draw.
 REPORTS = {'report': Format(('report.png', 'report_2.png', 'curve.png'), _write_report, True),
            'html': Format(('report.html',), _write_page, True)}
@@ -125,6 +133,8 @@ DEFAULT = {'placement': Format(PLACEMENT_FILES, _write_placements),
            **REPORTS}
 #: All formats by their names.
 FORMATS = {**DEFAULT,
+           'pdf': Format(('sheets_a4.pdf',), _write_sheets('A4'), True),
+           'pdf_a3': Format(('sheets_a3.pdf',), _write_sheets('A3'), True),
            'sdf': Format(('cameras.sdf',), texts(sdf_of)),
            'nerfstudio': Format(('transforms.json',), texts(nerfstudio_of)),
            'colmap': Format(('cameras.txt', 'images.txt', 'points3D.txt'), texts(colmap_of)),

@@ -92,11 +92,16 @@ class Assessment:
         return self.positions @ self.plan_rotation[:2].T
 
     @cached_property
-    def counts(self) -> np.ndarray:
-        """Return the number of cameras that see each of the N scene points: (N,) int."""
+    def seen(self) -> np.ndarray:
+        """Return whether each of the K cameras sees each of the N scene points: (K, N) bool."""
         views = [*self.objective.look(self.placement.poses), *self.objective.fixed]
         order = self.objective.simulator.visibility.order
-        return np.sum([Subset(view.seen, order).mask for view in views], axis=0)
+        return np.array([Subset(view.seen, order).mask for view in views])
+
+    @property
+    def counts(self) -> np.ndarray:
+        """Return the number of cameras that see each of the N scene points: (N,) int."""
+        return np.sum(self.seen, axis=0)
 
     @property
     def missed_points(self) -> np.ndarray:

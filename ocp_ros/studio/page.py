@@ -21,8 +21,8 @@ from threading import Thread
 from typing import Any
 
 import numpy as np
+from ocp_ros.report.drawing.depth_image import depth_colours, depth_image
 from ocp_ros.studio import texts
-from ocp_ros.studio.depth_image import depth_colours, depth_image
 from ocp_ros.studio.folder import Folder
 from ocp_ros.studio.model import Evaluation, Studio
 from ocp_ros.studio.panel import Panel

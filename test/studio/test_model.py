@@ -17,13 +17,13 @@
 from conftest import HUNG, printed
 import numpy as np
 from ocp_ros.geometry.cameras import rotation_matrix
+from ocp_ros.report.drawing.depth_image import depth_colours, depth_image
 from ocp_ros.report.facts import region_rows
 from ocp_ros.report.terminal import as_text, show_score
 from ocp_ros.rig.placement_file import load_placement
 from ocp_ros.rig.rig_file import rig_of
 from ocp_ros.simulation.simulator import Simulator
 from ocp_ros.studio import tasks, texts, zone_edits
-from ocp_ros.studio.depth_image import depth_colours, depth_image
 from ocp_ros.studio.folder import Folder
 from ocp_ros.studio.model import State, Studio
 from ocp_ros.util.settings import ConfigurationError

@@ -113,12 +113,12 @@ def draw_room_plan(axes: Axes, room: Room, assessed: Assessment, measured: bool 
     # Marks are placed by the limits of the axes, so the axes are fitted first.
     _fit_axes(axes, assessed, 0.1, room.points[:, :2])
     if measured:
-        _draw_distances(axes, assessed)
-        _draw_axes(axes, assessed, 0.1 * max(assessed.size))
-    _draw_marks(axes, assessed, scale=1.7 if measured else 1.0)
+        draw_distances(axes, assessed)
+        draw_axes(axes, assessed, 0.1 * max(assessed.size))
+    draw_marks(axes, assessed, scale=1.7 if measured else 1.0)
 
 
-def _draw_marks(axes: Axes, assessed: Assessment, scale: float) -> None:
+def draw_marks(axes: Axes, assessed: Assessment, scale: float) -> None:
     """
     Draw walls with letters and ticks, zones and cameras on a plan.
 
@@ -127,7 +127,7 @@ def _draw_marks(axes: Axes, assessed: Assessment, scale: float) -> None:
 
     :param scale: size of letters and lines, in multiples of those on the report page.
     """
-    (left, bottom), (right, top) = corners = _corners(assessed)
+    (left, bottom), (right, top) = corners = corners_of_plan(assessed)
     # For the sides A to D, clockwise from the top, the x and the y of both ends.
     sides = [((left, right), (top, top)), ((right, right), (top, bottom)),
              ((right, left), (bottom, bottom)), ((left, left), (bottom, top))]
@@ -168,7 +168,7 @@ def _tick_distances(length: float) -> np.ndarray:
     return np.arange(0.0, length + 1e-6, step)
 
 
-def _corners(assessed: Assessment) -> np.ndarray:
+def corners_of_plan(assessed: Assessment) -> np.ndarray:
     """Return the lower left and the upper right corner of the plan: (2, 2) metres."""
     top, right, bottom, left = (wall.offset for wall in assessed.walls)
     return np.array([[-left, -bottom], [right, top]])
@@ -181,7 +181,8 @@ def _fit_axes(axes: Axes, assessed: Assessment, margin: float, *shown: np.ndarra
     :param margin: as a share of the longer edge.
     :param shown: other places, (M, 2) metres, plan frame.
     """
-    fit_axes(axes, np.concatenate([assessed.plan_positions, _corners(assessed), *shown]), margin)
+    places = [assessed.plan_positions, corners_of_plan(assessed), *shown]
+    fit_axes(axes, np.concatenate(places), margin)
     axes.spines[:].set_visible(False)
 
 
@@ -307,12 +308,12 @@ def draw_curve(path: Path, findings: Mapping[str, Any]) -> None:
     save_figure(figure, path, dpi=100)
 
 
-def _draw_axes(axes: Axes, assessed: Assessment, length: float) -> None:
+def draw_axes(axes: Axes, assessed: Assessment, length: float) -> None:
     """Draw the coordinate axes, ``length`` metres long, at the corner next to the origin."""
     rotation = assessed.plan_rotation[:2, :2]
     corner = rotation @ assessed.corner.position
     # Move the axes from the corner into the room.
-    corner = corner + 0.15 * length * np.sign(_corners(assessed).mean(axis=0) - corner)
+    corner = corner + 0.15 * length * np.sign(corners_of_plan(assessed).mean(axis=0) - corner)
     for name, axis_vector in zip('xyz', np.eye(3)):
         direction = assessed.frame.to_map(axis_vector) - assessed.frame.to_map(np.zeros(3))
         direction = rotation @ direction[:2] / np.linalg.norm(direction)
@@ -323,7 +324,7 @@ def _draw_axes(axes: Axes, assessed: Assessment, length: float) -> None:
         draw_axis(axes, name, corner, length * direction)
 
 
-def _draw_distances(axes: Axes, assessed: Assessment) -> None:
+def draw_distances(axes: Axes, assessed: Assessment) -> None:
     """Draw the measured distances: dashed lines, with the numbers where there is space."""
     rotation = assessed.plan_rotation[:2, :2]
     # Smallest length of a line whose distance is written, metres. A text needs half of it as free
