@@ -19,6 +19,7 @@ import json
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
+from ocp_ros.formats.drivers import started_drivers
 from ocp_ros.formats.exported import Exported, image_size, Link
 from ocp_ros.geometry.cameras import CameraModel, PINHOLE
 from ocp_ros.report import fill_template
@@ -48,13 +49,27 @@ def camera_links(exported: Exported) -> Iterator[Link]:
 
 
 def launch_of(exported: Exported) -> str:
-    """Return a ROS 2 launch file that publishes the frames of :func:`camera_links`."""
+    """
+    Return a ROS 2 launch file that publishes the frames of :func:`camera_links`.
+
+    It also starts the drivers that cameras have, and joins their frames to these. If all cameras
+    have a driver, it starts ``policy_node`` with their topics.
+    """
+    drivers = list(started_drivers(exported))
     # The launch file is Python, so each transform is written as a tuple of Python.
     lines = [(link.parent, link.child, *map(float, link.position),
               *(round(angle, 9) for angle in link.angles))
-             for link in (*exported.links, *camera_links(exported))]
+             for link in (*exported.links, *camera_links(exported),
+                          *(driver.link for driver in drivers))]
+    nodes = [tuple(driver[:5]) for driver in drivers]
+    bodies = [exported.frame(number) for number, _ in exported.cameras()]
+    if len(drivers) == len(bodies):
+        nodes.append(('ocp_ros', 'policy_node', '', 'policy_node', {
+            'cloud_topics': ','.join(driver.topic for driver in drivers),
+            'camera_frames': ','.join(bodies), 'fixed_frame': exported.placement.frame}))
     return fill_template('cameras.launch.py.in',
-                         frames=''.join(f'    {line!r},\n' for line in lines))
+                         frames=''.join(f'    {line!r},\n' for line in lines),
+                         nodes=''.join(f'    {node!r},\n' for node in nodes))
 
 
 def xacro_of(exported: Exported) -> str:

@@ -30,7 +30,16 @@ import numpy as np
 from ocp_ros import __version__
 from ocp_ros.geometry.cameras import CameraModel, rotation_matrix
 from ocp_ros.geometry.engine_config import EngineConfig, PROMISING
-from ocp_ros.rig.rig_file import Camera, cameras_at, model_of, names_of, pose_of, Rig, rig_from
+from ocp_ros.rig.rig_file import (
+    Camera,
+    cameras_at,
+    Device,
+    model_of,
+    names_of,
+    pose_of,
+    Rig,
+    rig_from,
+)
 from ocp_ros.rig.schemas import MODEL, PLACEMENT
 from ocp_ros.rig.structure import Floors, floors_of
 from ocp_ros.scenes.scene import Scene
@@ -262,7 +271,8 @@ def _renamed_rig(document: Document, rig: Rig, paths: Sequence[Way], names: dict
             raise document.error(keys, f'the name {name!r}, which another camera of '
                                  f'{rig.document.name} has', 'one of its own',
                                  'give it another name')
-        cameras.append(camera._replace(name=name))
+        cameras.append(camera._replace(name=name, device=Device(*(
+            data.get(key, value) for key, value in camera.device._asdict().items()))))
     return replace(rig, cameras=tuple(cameras))
 
 
@@ -357,7 +367,8 @@ def numbers_of(camera: Camera) -> dict[str, Any]:
 
 def _entry(placed: Placed, complete: bool = True) -> dict[str, Any]:
     """Return the entry of a camera for a file, complete or without mount and planned pose."""
-    entry = {'name': placed.camera.name, **numbers_of(placed.camera),
+    device = {key: value for key, value in placed.camera.device._asdict().items() if value}
+    entry = {'name': placed.camera.name, **numbers_of(placed.camera), **device,
              **_pose_entry(placed.position, placed.angles),
              **({'mount': placed.mount} if complete else {})}
     if placed.planned and complete:

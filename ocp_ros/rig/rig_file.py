@@ -46,6 +46,22 @@ MAX_TRIPOD_HEIGHT_M = 2.2
 TRIPOD_FOOTPRINT_M = 0.4
 
 
+class Device(NamedTuple):
+    """
+    What connects a camera to a computer; texts are empty where a file does not give them.
+
+    :ivar serial: the serial number, by which a driver finds the camera.
+    :ivar driver: the ROS 2 driver, one of :data:`~ocp_ros.rig.schemas.DRIVERS`.
+    :ivar namespace: the namespace of the driver's topics.
+    :ivar host: the computer that the camera is connected to.
+    """
+
+    serial: str = ''
+    driver: str = ''
+    namespace: str = ''
+    host: str = ''
+
+
 class Camera(NamedTuple):
     """
     A camera of a rig.
@@ -53,11 +69,13 @@ class Camera(NamedTuple):
     :ivar name: the unique name in tables.
     :ivar sensor: the name of the sensor's preset; empty for parameters given directly.
     :ivar model: the camera model.
+    :ivar device: what connects the camera to a computer.
     """
 
     name: str
     sensor: str
     model: CameraModel
+    device: Device = Device()
 
 
 class FixedCamera(NamedTuple):
@@ -326,7 +344,11 @@ def with_count(rig: Rig, count: int) -> Rig:
     if len(groups := document.data['cameras']) > 1:
         raise document.error(('cameras',), f'{len(groups)} groups', 'one, whose cameras can be '
                              'counted', 'leave out --count, or all groups but one')
-    data = {**document.data, 'cameras': [{**groups[0], 'count': count}]}
+    group = {**groups[0], 'count': count}
+    # Serial numbers belong to a number of cameras.
+    if 'serial' in group and count != groups[0].get('count', 1):
+        del group['serial']
+    data = {**document.data, 'cameras': [group]}
     return rig_from(Document(document.name, data, document.lines))
 
 
@@ -459,8 +481,34 @@ def cameras_at(document: Document, key_paths: list[Way]) -> Iterator[Camera]:
         same.
     :raises ConfigurationError: if a name is given twice or a camera is invalid.
     """
-    for keys, name in zip(key_paths, names_of(document, key_paths)):
-        yield Camera(name, document.value(*keys).get('sensor', ''), model_of(document, keys))
+    devices = _devices_of(document, key_paths)
+    for keys, name, device in zip(key_paths, names_of(document, key_paths), devices):
+        yield Camera(name, document.value(*keys).get('sensor', ''), model_of(document, keys),
+                     device)
+
+
+def _devices_of(document: Document, key_paths: list[Way]) -> Iterator[Device]:
+    """
+    Yield what connects cameras to computers; the parameters are those of :func:`cameras_at`.
+
+    :raises ConfigurationError: if a serial number occurs twice, or a group of several cameras does
+        not have one for each.
+    """
+    used: set[str] = set()
+    for keys, count in Counter(key_paths).items():
+        data = document.value(*keys)
+        serials = data.get('serial', [''] * count)
+        serials = [serials] if isinstance(serials, str) else serials
+        if len(serials) != count:
+            raise document.error((*keys, 'serial'), f'{len(serials)} for {count} cameras',
+                                 'one for each camera of the group', 'write a list of them')
+        for serial in filter(None, serials):
+            if serial in used:
+                raise document.error((*keys, 'serial'), f'{serial!r}, which another camera has',
+                                     'one of its own', 'correct it')
+            used.add(serial)
+        yield from (Device(serial, *(data.get(key, '') for key in Device._fields[1:]))
+                    for serial in serials)
 
 
 def names_of(document: Document, key_paths: list[Way]) -> Iterator[str]:

@@ -61,6 +61,17 @@ MODEL: dict[str, Schema] = {
     'resolution': many('whole pixels across and down, both from 1 to 20000',
                        {'type': 'integer', 'minimum': 1, 'maximum': 20000}, [640, 480], 2, 2),
 }
+#: ROS 2 drivers that the launch file can start.
+DRIVERS = ('realsense2_camera', 'orbbec_camera', 'depthai_ros_driver', 'azure_kinect')
+SERIAL = text('a serial number in quotes, of letters, digits, _, . and -', '034422073314',
+              pattern='^[A-Za-z0-9_.-]{1,60}$')
+NAMESPACE = text('a namespace of ROS without a slash at either end', 'hall',
+                 pattern='^[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*$')
+#: What connects a camera to a computer.
+DEVICE: dict[str, Schema] = {
+    'serial': SERIAL, 'driver': one_of(DRIVERS, 'realsense2_camera'), 'namespace': NAMESPACE,
+    'host': text('the name of the computer that the camera is connected to', 'pc1',
+                 pattern='^[A-Za-z0-9_.-]{1,60}$')}
 POSITION = many('x, y and z in metres, map frame', POINT, [1.0, 2.0, 2.2], 3, 3)
 ANGLES: dict[str, Schema] = {
     'yaw': number('degrees counter-clockwise from the x axis, -360 to 360', 90.0, minimum=-360,
@@ -86,7 +97,10 @@ MODEL_REMEDIES = {
     **dict.fromkeys(('model', 'type', 'camera'), "write 'sensor'")}
 CAMERA: Schema = mapping(
     'a sensor, or horizontal_fov, vertical_fov and max_range',
-    {'sensor': 'realsense_d455', 'count': 3}, (), **MODEL, name=NAME,
+    {'sensor': 'realsense_d455', 'count': 3}, (), **MODEL, name=NAME, **{
+        **DEVICE, 'serial': {'description': 'a serial number in quotes, or a list of one for each '
+                             'camera of the group', 'anyOf': [SERIAL, array(SERIAL, 1, 64)],
+                             'examples': ['034422073314']}},
     count=whole('a whole number from 1 to 64', 3, minimum=1, maximum=64) | {'remedies': {
         'auto': 'leave it out, and choose the number by ocp plan --cameras auto'}}) | {
     'remedies': MODEL_REMEDIES | {
@@ -99,7 +113,7 @@ CAMERA: Schema = mapping(
         **dict.fromkeys(('number', 'amount', 'n', 'quantity'), "write 'count'")}}
 FIXED = mapping(
     'a camera and its position', {'sensor': 'kinect_v2', 'position': [1.0, 2.0, 2.2], 'yaw': 90},
-    ('position',), **MODEL, **ANGLES, position=POSITION, name=NAME) | {
+    ('position',), **MODEL, **ANGLES, position=POSITION, name=NAME, **DEVICE) | {
     'remedies': MODEL_REMEDIES | {'count': 'write an entry with its pose for each camera'}}
 BOOLEAN = {'description': 'true or false', 'type': 'boolean', 'examples': [True]}
 WALL_REMEDIES = dict.fromkeys(
@@ -165,7 +179,7 @@ RIG = mapping(
     'remedies': WALL_REMEDIES}
 PLACED = mapping(
     'a camera and its position', {'sensor': 'kinect_v2', 'position': [1.0, 2.0, 2.2], 'yaw': 90},
-    ('position',), name=NAME, **MODEL, position=POSITION, **ANGLES,
+    ('position',), name=NAME, **MODEL, **DEVICE, position=POSITION, **ANGLES,
     mount={'description': f'fixed or one of {", ".join(MOUNTS)}', 'enum': ['fixed', *MOUNTS],
            'examples': ['plane']},
     planned=mapping('where the camera was planned, if it was found to hang elsewhere',

@@ -549,8 +549,11 @@ def split_groups(rig: Rig) -> Rig:
     # One entry per camera, in the order of ``rig.cameras``.
     groups = [group for group in rig.document.data['cameras']
               for _ in range(group.get('count', 1))]
-    return changed_rig(rig, cameras=[camera_entry(group, camera.name)
-                                     for group, camera in zip(groups, rig.cameras)])
+    entries = [camera_entry(group, camera.name) for group, camera in zip(groups, rig.cameras)]
+    for entry, camera in zip(entries, rig.cameras):
+        if camera.device.serial:
+            entry['serial'] = camera.device.serial
+    return changed_rig(rig, cameras=entries)
 
 
 def camera_entry(group: dict[str, Any], name: str) -> dict[str, Any]:
@@ -560,7 +563,7 @@ def camera_entry(group: dict[str, Any], name: str) -> dict[str, Any]:
     :param group: the entry of one or more cameras of the same kind.
     """
     return {'name': name, **{key: value for key, value in group.items()
-                             if key not in ('name', 'count')}}
+                             if key not in ('name', 'count', 'serial')}}
 
 
 def new_name(stem: str, cameras: Sequence[Camera]) -> str:

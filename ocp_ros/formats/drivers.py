@@ -1,0 +1,153 @@
+# Copyright 2026 The ocp_ros authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""ROS 2 drivers of depth cameras: how to start them, and where their frames are."""
+
+from collections.abc import Iterator
+import re
+from typing import Any, NamedTuple
+import warnings
+
+import numpy as np
+from ocp_ros.formats.exported import Exported, Link, link_between
+from ocp_ros.rig.rig_file import Camera
+
+
+class Driver(NamedTuple):
+    """
+    A driver; ``{name}`` in its texts is the name of the camera in ROS.
+
+    :ivar package: its package.
+    :ivar executable: its program.
+    :ivar serial: the parameter for the serial number, with ``{serial}`` in its value.
+    :ivar parameters: all other parameters.
+    :ivar below_node: whether its topics are below the name of the node; otherwise they are in the
+        namespace of the node.
+    :ivar topic: the topic of clouds or depth images.
+    :ivar root: the frame that the driver does not give a parent, so that a launch file has to.
+    :ivar root_in_optical: (4, 4) from ``root`` to the optical frame of the depth image.
+    """
+
+    package: str
+    executable: str
+    serial: tuple[str, str]
+    parameters: dict[str, Any]
+    below_node: bool
+    topic: str
+    root: str
+    root_in_optical: np.ndarray
+
+
+def _optical_from_body() -> np.ndarray:
+    """Return the transform (4, 4) from x forward, y left, z up to z forward, x right, y down."""
+    matrix = np.eye(4)
+    matrix[:3, :3] = [[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]]
+    return matrix
+
+
+def _optical_from_kinect_base(tilt_degrees: float) -> np.ndarray:
+    """
+    Return the transform (4, 4) from ``camera_base`` of an Azure Kinect to its depth image.
+
+    The driver publishes its inverse: the depth camera is 1.8 mm above the base, and looks down by
+    an angle. Source: Azure_Kinect_ROS_Driver, k4a_calibration_transform_data.cpp.
+    """
+    cosine, sine = np.cos(np.deg2rad(tilt_degrees)), np.sin(np.deg2rad(tilt_degrees))
+    tilt = np.array([[1.0, 0.0, 0.0], [0.0, cosine, sine], [0.0, -sine, cosine]])
+    matrix = np.eye(4)
+    matrix[:3, :3] = _optical_from_body()[:3, :3].T @ tilt
+    matrix[:3, 3] = 0.0, 0.0, 0.0018
+    return np.linalg.inv(matrix)
+
+
+#: The drivers by their names in rig files.
+DRIVERS = {
+    'realsense2_camera': Driver(
+        # The driver removes the underscore, which keeps the number a text.
+        'realsense2_camera', 'realsense2_camera_node', ('serial_no', '_{serial}'),
+        {'camera_name': '{name}', 'pointcloud.enable': True}, True, 'depth/color/points',
+        '{name}_link', _optical_from_body()),
+    'orbbec_camera': Driver(
+        'orbbec_camera', 'orbbec_camera_node', ('serial_number', '{serial}'),
+        {'camera_name': '{name}', 'enable_point_cloud': True}, False, 'depth/points',
+        '{name}_link', _optical_from_body()),
+    'depthai_ros_driver': Driver(
+        'depthai_ros_driver', 'camera_node', ('camera.i_mx_id', '{serial}'),
+        {'camera.i_pipeline_type': 'RGBD', 'camera.i_nn_type': 'none',
+         'camera.i_publish_tf_from_calibration': False, 'stereo.i_align_depth': True}, True,
+        'stereo/image_raw', '{name}_rgb_camera_optical_frame', np.eye(4)),
+    'azure_kinect': Driver(
+        'azure_kinect_ros_driver', 'node', ('sensor_sn', '{serial}'),
+        {'tf_prefix': '{name}_', 'depth_mode': 'NFOV_UNBINNED', 'color_enabled': False,
+         'point_cloud': True, 'rgb_point_cloud': False, 'point_cloud_in_depth_frame': True},
+        False, 'points2', '{name}_camera_base', _optical_from_kinect_base(6.0))}
+
+
+class StartedDriver(NamedTuple):
+    """
+    A driver of one camera, as a launch file starts it.
+
+    :ivar package: its package.
+    :ivar executable: its program.
+    :ivar namespace: of the node.
+    :ivar name: of the node.
+    :ivar parameters: of the node.
+    :ivar topic: of the clouds or depth images, with a slash at the beginning.
+    :ivar link: the transform that joins the frames of the driver to those of the camera.
+    """
+
+    package: str
+    executable: str
+    namespace: str
+    name: str
+    parameters: dict[str, Any]
+    topic: str
+    link: Link
+
+
+def started_drivers(exported: Exported) -> Iterator[StartedDriver]:
+    """Yield the drivers of the cameras for which the rig or the placement names one."""
+    cameras = [(number, placed.camera) for number, placed in exported.cameras()
+               if placed.camera.device.driver]
+    packages = [camera.device.driver for _, camera in cameras]
+    for number, camera in cameras:
+        if not camera.device.serial and packages.count(camera.device.driver) > 1:
+            warnings.warn(f'{camera.name}: found no serial number and several cameras of its '
+                          'driver, which takes any of them; expected one; add serial to the rig '
+                          'or the placement', stacklevel=2)
+        yield _started(exported, number, camera)
+
+
+def _started(exported: Exported, number: int, camera: Camera) -> StartedDriver:
+    """Return the driver of a camera, by its number from 0."""
+    driver, device = DRIVERS[camera.device.driver], camera.device
+    name = re.sub(r'\W', '_', f'{exported.prefix}{camera.name}')
+    # Names in ROS begin with a letter; different names stay different.
+    others = [re.sub(r'\W', '_', placed.camera.name) for _, placed in exported.cameras()]
+    if not name[0].isalpha() or others.count(re.sub(r'\W', '_', camera.name)) > 1:
+        name = f'camera_{number}_{name}'
+    parameters = {key: value.format(name=name) if isinstance(value, str) else value
+                  for key, value in driver.parameters.items()}
+    optical = driver.root_in_optical
+    if camera.sensor.endswith('wfov') and device.driver == 'azure_kinect':
+        parameters['depth_mode'], optical = 'WFOV_2X2BINNED', _optical_from_kinect_base(7.3)
+    if device.serial:
+        parameters[driver.serial[0]] = driver.serial[1].format(serial=device.serial)
+    folder = '/' + '/'.join(filter(None, (device.namespace, name)))
+    link = link_between(f'{exported.frame(number)}_optical', driver.root.format(name=name),
+                        optical[:3, :3], optical[:3, 3])
+    # All topics are NAMESPACE/NAME/TOPIC.
+    namespace = folder.rpartition('/')[0] if driver.below_node else folder
+    return StartedDriver(driver.package, driver.executable, namespace, name, parameters,
+                         f'{folder}/{driver.topic}', link)
