@@ -72,7 +72,10 @@ def test_the_examples_of_files_can_be_read_and_all_their_keys_are_explained(tmp_
     assert load_placement(path).poses.shape == (2, 6)
     rig_page, page = ((DOCS / 'reference' / f'{name}.md').read_text()
                       for name in ('rig', 'placement'))
+    require_page = (DOCS / 'reference' / 'requirements.md').read_text()
+    assert all(f'`{level}`' in require_page for level in schemas.PIXEL_DENSITIES)
     for text, parts in ((rig_page, 'RIG CAMERA FIXED KEEP_OUT REGION'),
+                        (require_page, 'REQUIRE'),
                         (page + rig_page, 'PLACEMENT PLACED ROOM ENGINE')):
         for part in parts.split():
             for key in getattr(schemas, part)['properties']:

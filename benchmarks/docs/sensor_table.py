@@ -33,6 +33,12 @@ def pixel_size(model: CameraModel, distance: float) -> tuple[float, float]:
             2.0 * distance * lens.half_vertical / model.resolution[1])
 
 
+def noise_at(model: CameraModel, depth: float) -> float:
+    """Return the standard deviation of a depth, metres, of a surface that faces the camera."""
+    noise = model.noise
+    return noise.constant + noise.linear * depth + noise.quadratic * depth ** 2
+
+
 def rows() -> list[str]:
     """Return one line of Markdown per sensor."""
     lines = []
@@ -43,7 +49,7 @@ def rows() -> list[str]:
         across, down = (f'{1e3 * size:.1f}' for size in pixel_size(model, 3.0))
         lines.append(f'| `{name}` | {sensor.title} | {model.min_range:g} to {model.max_range:g} | '
                      f'{angles} | {model.resolution[0]} x {model.resolution[1]} | '
-                     f'{across} x {down} |')
+                     f'{across} x {down} | {1e3 * noise_at(model, 2.0):.1f} |')
     return lines
 
 

@@ -110,6 +110,26 @@ def camera_of(cameras, number):
             Frustum(int(lens[0]), lens[1], lens[2], lens[3], lens[4]))
 
 
+class DepthNoise(NamedTuple):
+    """
+    The standard deviation of one measured depth z of a sensor, at an angle of incidence t.
+
+    It is constant + linear z + quadratic z^2 + grazing z^1.5 t^2 / (pi/2 - t)^2, which has the
+    terms of published models: stereo errs with z^2, and the last term is that of Fankhauser et
+    al., "Kinect v2 for Mobile Robot Navigation: Evaluation and Modeling", ICAR 2015.
+
+    :ivar constant: metres.
+    :ivar linear: metres per metre.
+    :ivar quadratic: 1 / metre.
+    :ivar grazing: metres^-0.5; 0 if the published model does not depend on the angle.
+    """
+
+    constant: float = 0.0
+    linear: float = 0.0
+    quadratic: float = 0.0
+    grazing: float = 0.0
+
+
 @dataclass(frozen=True)
 class CameraModel:
     """
@@ -123,6 +143,7 @@ class CameraModel:
     :param horizontal_fov: radians, in (0, 2 pi].
     :param vertical_fov: radians, in (0, pi].
     :param resolution: pixels across and down; None if unknown.
+    :param noise: the noise of its depths; None if unknown.
     :raises ValueError: if a range, an angle or the resolution is out of its limits.
     """
 
@@ -131,6 +152,7 @@ class CameraModel:
     horizontal_fov: float = 2.0 * np.pi
     vertical_fov: float = np.pi
     resolution: tuple[int, int] | None = None
+    noise: DepthNoise | None = None
 
     def __post_init__(self) -> None:
         """Check the ranges, the angles and the resolution."""
@@ -152,6 +174,21 @@ class CameraModel:
     def omnidirectional(self) -> bool:
         """Whether the viewing cone contains every direction."""
         return self.horizontal_fov >= 2.0 * np.pi - 1e-9 and self.vertical_fov >= np.pi - 1e-9
+
+    @property
+    def pixels_per_unit(self) -> float | None:
+        """
+        Return the pixels per metre on a surface at one metre that faces the camera.
+
+        For a pinhole camera, the distance of the surface is that along the optical axis, and the
+        number is the focal length in pixels. Of across and down, the smaller number is returned;
+        None if the resolution is unknown.
+        """
+        if self.resolution is None:
+            return None
+        lens = self.lens
+        return float(min(self.resolution[0] / (2.0 * lens.half_horizontal),
+                         self.resolution[1] / (2.0 * lens.half_vertical)))
 
     @property
     def lens(self) -> Frustum:

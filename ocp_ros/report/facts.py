@@ -39,6 +39,8 @@ FOLDER_PATTERN = re.compile(r'(?<![^=])[^=]*/(?=[^/])')
 REGION_COLUMNS = ('region', 'seen', 'required', 'satisfied')
 #: Column heads of the table of rooms.
 ROOM_COLUMNS = ('room', 'area', 'around (x, y)', 'cameras', 'seen')
+#: Column heads of the table of requirements.
+REQUIREMENT_COLUMNS = ('required of', 'by each point', 'met', 'required', 'satisfied')
 #: By the key of a share that cameras reach: its column head, and its denominator in a sentence.
 SHARE_LABELS = {'seen': ('of visible points', 'points that can be seen'),
                 'coverage': ('of reachable space', 'space that can be covered'),
@@ -84,6 +86,7 @@ class Facts:
     :ivar regions: for each region its row of the table with :data:`REGION_COLUMNS`.
     :ivar rooms: for each room of a floor its row of the table with :data:`ROOM_COLUMNS`, and
         whether cameras see it; empty for one room.
+    :ivar requirements: for each requirement its row with :data:`REQUIREMENT_COLUMNS`.
     :ivar links: pairs of cameras that can be calibrated to each other; '' if not required.
     :ivar certificate: a sentence on the optimality gap; '' if the placement was not planned.
     """
@@ -95,6 +98,7 @@ class Facts:
     cameras: list[CameraFacts]
     regions: list[tuple[str, ...]]
     rooms: list[tuple[tuple[str, ...], bool]]
+    requirements: list[tuple[str, ...]]
     links: str
     certificate: str
 
@@ -141,7 +145,8 @@ def facts_of(findings: Mapping[str, Any]) -> Facts:
     certificate = findings['search']['certificate']['sentence'] if 'search' in findings else ''
     links = links_line(scores['calibratable']) if 'calibratable' in scores else ''
     return Facts(verdict, not (broken or doubts), doubts, _figures(findings), cameras,
-                 region_rows(scores), room_rows(scores), links, certificate)
+                 region_rows(scores), room_rows(scores), requirement_rows(scores), links,
+                 certificate)
 
 
 def region_rows(scores: Mapping[str, Any]) -> list[tuple[str, ...]]:
@@ -157,6 +162,13 @@ def room_rows(scores: Mapping[str, Any]) -> list[tuple[tuple[str, ...], bool]]:
     return [((room['name'], f'{room["area"]:.1f} m²', '{:.1f}, {:.1f}'.format(*room['at']),
               str(room['cameras']), percent(room['seen'])), room['seen'] >= MIN_SEEN_SHARE)
             for room in scores.get('rooms', ())]
+
+
+def requirement_rows(scores: Mapping[str, Any]) -> list[tuple[str, ...]]:
+    """Return for each requirement its row of the table with :data:`REQUIREMENT_COLUMNS`."""
+    return [(score['region'] or 'the whole room', score['require'], percent(score['share']),
+             percent(score['asked']), 'yes' if score['met'] else 'no')
+            for score in scores.get('requirements', ())]
 
 
 def page_facts_of(assessed: Assessment) -> PageFacts:
@@ -218,6 +230,12 @@ def _figures(findings: Mapping[str, Any]) -> list[Figure]:
         figures.append(Figure(
             'regions', f'{sum(region["met"] for region in regions)} of {len(regions)} met',
             f'{worst["name"]}: {percent(worst["seen"])} seen'))
+    if requirements := scores.get('requirements'):
+        worst = min(requirements, key=lambda score: score['share'] - score['asked'])
+        figures.append(Figure(
+            'requirements', f'{sum(score["met"] for score in requirements)} of '
+            f'{len(requirements)} met', f'{worst["region"] or "room"}: {percent(worst["share"])} '
+            f'of {percent(worst["asked"])}'))
     if links := scores.get('calibratable'):
         groups = len(links['groups'])
         figures.append(Figure('overlap', 'connected' if groups == 1 else f'{groups} groups',
@@ -285,6 +303,11 @@ def quality_lines(findings: Mapping[str, Any]) -> Iterator[str]:
     if random['placements']:
         yield (f'{random["placements"]} random feasible placements: median '
                f'{random["median"]:.4f}, best {random["best"]:.4f}')
+    for score, most in zip(findings['scores'].get('requirements', ()),
+                           search['everywhere'].get('requirements', ())):
+        if not score['met']:
+            yield (f'{score["region"] or "the room"}: the candidates together meet '
+                   f'{percent(most)} of the required {percent(score["asked"])}')
     yield (f'lower bound {bound:.4f}: the objective value with a camera at each of the '
            f'{search["candidates"]:,} candidates')
     if loss > 0.0:

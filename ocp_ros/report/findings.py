@@ -123,6 +123,11 @@ def rig_scores(objective: Objective, views: Sequence[View], evaluation: RigEvalu
                      'must_see': region.must_see, 'weight': region.weight,
                      'met': bool(share >= region.must_see)}
                     for region, share in zip(rig.regions, evaluation.regions)],
+        **({'requirements': [
+            {'region': requirement.region, 'require': requirement.text, 'share': float(share),
+             'asked': requirement.share, 'met': bool(share >= requirement.share)}
+            for requirement, share in zip(rig.requirements, evaluation.requirements)]}
+            if rig.requirements else {}),
         **_room_scores(objective, views, evaluation)}
 
 
@@ -167,7 +172,7 @@ def _calibration_links(objective: Objective, views: Sequence[View]) -> dict[str,
 
 def broken_by(region: FeasibleRegion, poses: np.ndarray, scores: dict[str, Any]) -> list[str]:
     """
-    Return a sentence for each violated constraint of a placement, regions included.
+    Return a sentence for each violated constraint, regions and requirements included.
 
     :param region: feasible region of the rig in the room.
     :param poses: (K, 6) metres, map frame, and radians, of the K cameras.
@@ -177,7 +182,11 @@ def broken_by(region: FeasibleRegion, poses: np.ndarray, scores: dict[str, Any])
         f'{score["name"]}: found {100.0 * score["seen"]:.1f} % of its {score["of"]} seen'
         f'{" from all around" if "around" in score else ""}; '
         f'expected {100.0 * score["must_see"]:.1f} % (must_see); turn or move a camera towards it'
-        for score in scores['regions'] if not score['met']] + _group_sentences(scores)
+        for score in scores['regions'] if not score['met']] + [
+        f'{score["region"] or "the room"}: found {100.0 * score["share"]:.1f} % of the points '
+        f'with {score["require"]}; expected {100.0 * score["asked"]:.1f} % (require); move '
+        'cameras nearer, use better ones or more, or lower the requirement'
+        for score in scores.get('requirements', ()) if not score['met']] + _group_sentences(scores)
 
 
 def _group_sentences(scores: dict[str, Any]) -> list[str]:

@@ -131,7 +131,7 @@ class PlannedRig:
     def _plans_by_count(self, rig: Rig, counting: Counting) -> Iterator[RigPlan]:
         """Yield plans with an increasing number of cameras until one reaches the target."""
         # With fewer cameras no point would be seen by enough cameras.
-        first = max(rig.seen_by - len(rig.fixed), 1)
+        first = max(rig.least_cameras - len(rig.fixed), 1)
         for plan in self.planner.count_up(lambda count: with_count(rig, count), first,
                                           max(counting.most, first)):
             yield plan
@@ -186,7 +186,9 @@ class PlannedRig:
                            'best': float(random.min()) if len(random) else None},
                 # The values with a camera at each candidate, which are lower bounds.
                 'everywhere': {'loss': plan.union_bound.loss,
-                               'depth_error': plan.union_bound.depth_error},
+                               'depth_error': plan.union_bound.depth_error,
+                               **({'requirements': plan.union_bound.requirements.tolist()}
+                                  if plan.rig.requirements else {})},
                 'certificate': certificate_data(plan.certificate, plan.uncertain)}
 
 

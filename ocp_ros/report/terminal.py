@@ -28,6 +28,7 @@ from ocp_ros.report.facts import (
     percent,
     quality_lines,
     REGION_COLUMNS,
+    REQUIREMENT_COLUMNS,
     ROOM_COLUMNS,
     SHARE_LABELS,
 )
@@ -79,6 +80,8 @@ def show_score(console: Console, findings: Mapping[str, Any]) -> None:
         print_table(console, 'Regions', REGION_COLUMNS, facts.regions)
     if facts.rooms:
         print_table(console, 'Rooms', ROOM_COLUMNS, *zip(*facts.rooms))
+    if facts.requirements:
+        print_table(console, 'Requirements', REQUIREMENT_COLUMNS, facts.requirements)
     for line in filter(None, [*details_of(findings), facts.links]):
         console.print(line)
     console.print(facts.verdict + (':' if findings['broken'] else ''))

@@ -43,7 +43,12 @@ from ocp_ros.report.drawing.room_drawing import (
     PLAIN_COLOUR,
     room_of,
 )
-from ocp_ros.report.facts import page_facts_of, REGION_COLUMNS, ROOM_COLUMNS
+from ocp_ros.report.facts import (
+    page_facts_of,
+    REGION_COLUMNS,
+    REQUIREMENT_COLUMNS,
+    ROOM_COLUMNS,
+)
 from ocp_ros.rig.zones import Zone
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.util.files import write_atomically
@@ -348,6 +353,8 @@ def tables_of(assessed: Assessment) -> Iterator[str]:
         yield '<h2>Regions</h2>' + _html_table(REGION_COLUMNS, facts.regions)
     if facts.rooms:
         yield '<h2>Rooms</h2>' + _html_table(ROOM_COLUMNS, *zip(*facts.rooms))
+    if facts.requirements:
+        yield '<h2>Requirements</h2>' + _html_table(REQUIREMENT_COLUMNS, facts.requirements)
     yield from _html_paragraphs(facts.links, facts.origin, facts.meaning)
 
 

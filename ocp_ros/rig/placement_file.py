@@ -41,6 +41,7 @@ from ocp_ros.rig.rig_file import (
     rig_from,
 )
 from ocp_ros.rig.schemas import MODEL, PLACEMENT
+from ocp_ros.rig.sensors import SENSORS
 from ocp_ros.rig.structure import Floors, floors_of
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.util.files import write_atomically
@@ -362,6 +363,10 @@ def numbers_of(camera: Camera) -> dict[str, Any]:
     numbers |= {'min_range': model.min_range, 'max_range': model.max_range}
     if model.resolution is not None:
         numbers['resolution'] = list(model.resolution)
+    # The model of a preset has a term that files have not, so it is left to the preset.
+    preset = SENSORS.get(camera.sensor)
+    if model.noise is not None and (preset is None or preset.model.noise != model.noise):
+        numbers['depth_noise'] = [float(f'{1e3 * term:.12g}') for term in model.noise[:3]]
     return numbers
 
 

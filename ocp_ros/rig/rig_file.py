@@ -19,22 +19,23 @@ Angles are degrees in files and radians here; docs/reference/rig.md explains eve
 """
 
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from ocp_ros.geometry.cameras import CameraModel
+from ocp_ros.geometry.cameras import CameraModel, DepthNoise
+from ocp_ros.geometry.measurement_quality import QualityLimits
 from ocp_ros.rig.rig_config import KINDS, OMNIDIRECTIONAL, RigConfig
-from ocp_ros.rig.schemas import MAX_NAME_LENGTH, MIN_FOV_DEG, MODEL, RIG
+from ocp_ros.rig.schemas import MAX_NAME_LENGTH, MIN_FOV_DEG, MODEL, PIXEL_DENSITIES, RIG
 from ocp_ros.rig.sensors import SENSORS
 from ocp_ros.rig.zones import Zone, zone_of, zones_of
 from ocp_ros.util.settings import ConfigurationError, MAX_CAMERAS
 from ocp_ros.util.yaml_files import describe, Document, document_of, nearest, read_document, Way
 
-#: The share of a region's points that has to be seen with ``must_see: true``: some points are
-#: noise, and some are occluded from everywhere.
+#: The share of a region's points that has to be seen with ``must_see: true``, and that has to meet
+#: what it requires: some points are noise, and some are occluded from everywhere.
 MUST_SEE_SHARE = 0.95
 #: Radians: the largest gap, seen from above, between the directions of cameras all around.
 MAX_GAP = np.deg2rad(120.0)
@@ -111,9 +112,9 @@ class Mount(NamedTuple):
 
 class SightCondition(NamedTuple):
     """
-    The condition of lines of sight for a position in the air to count as seen.
+    The condition of lines of sight for a point, or a position in the air, to count as seen.
 
-    :ivar seen_by: the number of cameras that have to see the position.
+    :ivar seen_by: the number of cameras that have to see the point or position.
     :ivar angle: the least angle between the lines of sight of any two of these cameras, radians.
     :ivar around: whether cameras have to stand all around the position: seen from above, no gap
         between their directions is larger than :data:`MAX_GAP`.
@@ -135,6 +136,59 @@ class SightCondition(NamedTuple):
         missing = max(self.seen_by - seen_by, 0) / (self.seen_by - 1)
         return (min(self.seen_by, seen_by), self.angle,
                 MAX_GAP + missing * (2.0 * np.pi - MAX_GAP))
+
+
+class Requirement(NamedTuple):
+    """
+    What the points of a region, or of the whole room, require of the cameras that see them.
+
+    A camera counts for a point if it measures the point within all limits.
+
+    :ivar region: the name of the region; empty for the whole room.
+    :ivar zone: the volume of the region; None for the whole room.
+    :ivar pixel_density: the least number of pixels per metre; None for no limit.
+    :ivar max_noise: the largest standard deviation of a depth, metres; None for no limit.
+    :ivar incidence: the largest angle of incidence, radians; None for no limit.
+    :ivar sight: the cameras that have to count for a point, and the angle between them.
+    :ivar one_may_fail: whether the share has to be met without any one of the cameras.
+    :ivar share: the share of the points that has to meet the requirement.
+    :ivar where: file, line and keys of its entry, for messages.
+    """
+
+    region: str
+    zone: Zone | None
+    pixel_density: float | None
+    max_noise: float | None
+    incidence: float | None
+    sight: SightCondition
+    one_may_fail: bool
+    share: float
+    where: str
+
+    def limits_of(self, model: CameraModel) -> QualityLimits:
+        """Return the limits within which a camera of a model measures a point well enough."""
+        return QualityLimits.of(model, self.pixel_density, self.max_noise, self.incidence)
+
+    @property
+    def cameras(self) -> int:
+        """Return the least number of cameras with which the requirement can be met."""
+        return self.sight.seen_by + self.one_may_fail
+
+    @property
+    def text(self) -> str:
+        """Return the requirement in words, without its region and its share."""
+        cameras = self.sight.seen_by
+        levels = [name for name, level in PIXEL_DENSITIES.items() if level == self.pixel_density]
+        name = f' ({", ".join(levels)})' if levels else ''
+        return ', '.join(filter(None, [
+            self.pixel_density and f'{self.pixel_density:g} px/m{name}',
+            self.max_noise and f'depth to {1e3 * self.max_noise:g} mm',
+            self.incidence and f'incidence up to {np.rad2deg(self.incidence):.3g} degrees',
+            f'by {cameras} camera{"s" * (cameras > 1)}'
+            + (f' at least {np.rad2deg(self.sight.angle):.3g} degrees apart'
+               if self.sight.angle and cameras > 1 else '')
+            + ' from all around' * self.sight.around,
+            self.one_may_fail and 'also if any one camera fails']))
 
 
 class Region(NamedTuple):
@@ -191,7 +245,8 @@ class Rig:
     :ivar spacing: the least distance of two cameras, metres.
     :ivar keep_out: zones in which no camera may be.
     :ivar keep_in: zones, of which each camera has to be in one; empty for no limit.
-    :ivar regions: the regions with additional weights or requirements.
+    :ivar regions: the regions with additional weights or shares that must be seen.
+    :ivar requirements: what the whole room and regions require of the cameras that see them.
     :ivar seen_by: the number of cameras that have to see a point.
     :ivar calibratable: the condition for links between cameras, which have to connect all of them;
         None if not required.
@@ -208,6 +263,7 @@ class Rig:
     keep_out: tuple[Zone, ...]
     keep_in: tuple[Zone, ...]
     regions: tuple[Region, ...]
+    requirements: tuple[Requirement, ...]
     seen_by: int
     calibratable: Calibratable | None
     document: Document
@@ -225,12 +281,18 @@ class Rig:
         return cls(
             cameras, (), Mount('box', (config.height, config.height)), pitch=(0.0, 0.5 * np.pi),
             rolls=(0.0,), keep_clear=0.0, spacing=0.0, keep_out=(), keep_in=(), regions=(),
-            seen_by=1, calibratable=None, document=Document('rig', {}))
+            requirements=(), seen_by=1, calibratable=None, document=Document('rig', {}))
 
     @property
     def free(self) -> bool:
         """Return whether the cameras move freely on a plane without any constraint."""
         return self.mount.on == 'box'
+
+    @property
+    def least_cameras(self) -> int:
+        """Return the least number of cameras, fixed ones included, that anything requires."""
+        return max([self.seen_by, *(region.air.seen_by for region in self.regions if region.air),
+                    *(requirement.cameras for requirement in self.requirements)])
 
     @property
     def motion(self) -> dict[str, float]:
@@ -383,6 +445,8 @@ def model_of(document: Document, keys: Way) -> CameraModel:
     given: dict[str, Any] = {
         key: float(np.deg2rad(data[key])) if key.endswith('fov') else data[key]
         for key in MODEL if key in data}
+    if 'depth_noise' in given:
+        given['noise'] = DepthNoise(*(1e-3 * value for value in given.pop('depth_noise')))
     # Fields of view replace a focal length with a sensor size.
     given |= _pop_pinhole(document, keys, given)
     if 'resolution' in given:
@@ -445,10 +509,12 @@ def rig_from(document: Document) -> Rig:
     """
     data = document.data
     cameras, fixed = _cameras(document)
-    regions = tuple(_regions(document, len(cameras) + len(fixed)))
+    count = len(cameras) + len(fixed)
+    models = {camera.name: camera.model for camera in (*cameras, *(one.camera for one in fixed))}
+    regions = tuple(_regions(document, count))
     seen_by = data.get('seen_by', 1)
-    if seen_by > len(cameras) + len(fixed):
-        raise document.error(('seen_by',), str(seen_by), f'at most {len(cameras) + len(fixed)}, '
+    if seen_by > count:
+        raise document.error(('seen_by',), str(seen_by), f'at most {count}, '
                              'as many as there are cameras', 'lower it or add cameras')
     low, high = np.deg2rad(_range(document, ('pitch',), data.get('pitch', [0.0, 90.0]))).tolist()
     return Rig(
@@ -456,7 +522,8 @@ def rig_from(document: Document) -> Rig:
         rolls=tuple(np.deg2rad(data.get('roll', [0.0])).tolist()),
         keep_clear=float(data.get('keep_clear', 0.2)), spacing=float(data.get('spacing', 0.2)),
         keep_out=zones_of(document, 'keep_out'), keep_in=zones_of(document, 'keep_in'),
-        regions=regions, seen_by=seen_by, calibratable=_calibratable(data), document=document)
+        regions=regions, requirements=tuple(_requirements(document, regions, models)),
+        seen_by=seen_by, calibratable=_calibratable(data), document=document)
 
 
 def _cameras(document: Document) -> tuple[tuple[Camera, ...], tuple[FixedCamera, ...]]:
@@ -589,14 +656,55 @@ def _regions(document: Document, cameras: int) -> Iterator[Region]:
                      _sight_condition(document, ('regions', k, 'air'), cameras))
 
 
+def _requirements(document: Document, regions: Sequence[Region], models: dict[str, CameraModel]
+                  ) -> Iterator[Requirement]:
+    """
+    Yield the requirement of the whole room and those of regions, where the file has them.
+
+    :param models: the model of each camera, by its name.
+    :raises ConfigurationError: for a region of air, more cameras than there are, or a limit for
+        which a camera lacks a parameter.
+    """
+    parts: list[tuple[Way, Region | None]] = [
+        ((), None), *((('regions', k), region) for k, region in enumerate(regions))]
+    for parents, region in parts:
+        keys = (*parents, 'require')
+        data = document.value(*parents).get('require')
+        if data is None:
+            continue
+        if region is not None and region.air is not None:
+            raise document.error(keys, 'it in a region of air', 'a region of points', 'write '
+                                 'seen_by and angle under air, or leave out air')
+        density, noise, angle = (data.get(key) for key in (
+            'pixel_density', 'depth_accuracy', 'incidence'))
+        requirement = Requirement(
+            '' if region is None else region.name, None if region is None else region.zone,
+            PIXEL_DENSITIES.get(density, density),
+            None if noise is None else 1e-3 * noise,
+            None if angle is None else float(np.deg2rad(angle)),
+            _sight_condition(document, keys, len(models)),
+            data.get('one_may_fail', False), float(data.get('share', MUST_SEE_SHARE)),
+            document.where(*keys))
+        if requirement.cameras > len(models):
+            raise document.error((*keys, 'one_may_fail'), f'true with {len(models)} cameras',
+                                 f'{requirement.cameras} cameras or more', 'add cameras')
+        for camera, model in models.items():
+            try:
+                requirement.limits_of(model)
+            except ValueError as error:
+                raise document.error(keys, f'{camera}, a camera without {error}', 'cameras with '
+                                     'it', f'add {error} to it') from error
+        yield requirement
+
+
 def _sight_condition(document: Document, keys: Way, cameras: int) -> SightCondition | None:
     """
-    Return the condition for the air of a region to count as seen; None if there is none.
+    Return the condition for points or air to count as seen; None if there is none.
 
     :param keys: the keys that lead to the condition, which the document may lack.
     :param cameras: the number of cameras, which is the limit of ``seen_by``.
     """
-    data = document.value(*keys[:-1]).get('air')
+    data = document.value(*keys[:-1]).get(keys[-1])
     if data is None:
         return None
     around = data.get('around', False)

@@ -60,6 +60,10 @@ MODEL: dict[str, Schema] = {
     'max_range': number('metres from 0.05 to 1000', 5.0, minimum=0.05, maximum=MAX_COORDINATE_M),
     'resolution': many('whole pixels across and down, both from 1 to 20000',
                        {'type': 'integer', 'minimum': 1, 'maximum': 20000}, [640, 480], 2, 2),
+    'depth_noise': many('constant, linear and quadratic part of the standard deviation of a depth '
+                        'in millimetres, the depth in metres', {
+                            'type': 'number', 'minimum': -1000, 'maximum': 1000},
+                        [1.0, 0.0, 2.5], 3, 3),
 }
 #: ROS 2 drivers that the launch file can start.
 DRIVERS = ('realsense2_camera', 'orbbec_camera', 'depthai_ros_driver', 'azure_kinect')
@@ -72,6 +76,29 @@ DEVICE: dict[str, Schema] = {
     'serial': SERIAL, 'driver': one_of(DRIVERS, 'realsense2_camera'), 'namespace': NAMESPACE,
     'host': text('the name of the computer that the camera is connected to', 'pc1',
                  pattern='^[A-Za-z0-9_.-]{1,60}$')}
+BOOLEAN = {'description': 'true or false', 'type': 'boolean', 'examples': [True]}
+#: Levels of pixel density by name, pixels per metre: EN 62676-4:2025, then detection, observation,
+#: recognition and identification (DORI) of EN 62676-4:2015.
+PIXEL_DENSITIES = {
+    'overview': 20.0, 'outline': 40.0, 'discern': 80.0, 'perceive': 125.0, 'characterise': 250.0,
+    'validate': 500.0, 'scrutinise': 1500.0,
+    'detect': 25.0, 'observe': 62.5, 'recognise': 125.0, 'identify': 250.0}
+#: What the points of a region, or of the whole room, require.
+REQUIRE = mapping(
+    'a mapping with one condition or more', {'pixel_density': 'recognise'}, (),
+    pixel_density={
+        'description': 'pixels per metre above 0, or one of ' + ', '.join(PIXEL_DENSITIES),
+        'anyOf': [{'type': 'number', 'exclusiveMinimum': 0, 'maximum': 1e6},
+                  {'enum': list(PIXEL_DENSITIES)}], 'examples': ['recognise']},
+    depth_accuracy=number('millimetres above 0, the largest standard deviation of a depth', 10.0,
+                          exclusiveMinimum=0, maximum=1000),
+    incidence=number('degrees from 1 to 90', 60.0, minimum=1, maximum=90),
+    seen_by=whole('a whole number of cameras, 1 or more', 2, minimum=1, maximum=64),
+    angle=number('degrees, 0 to 120', 30.0, minimum=0, maximum=120),
+    around=BOOLEAN, one_may_fail=BOOLEAN,
+    share=number('the share of the points that has to meet it, above 0, at most 1', 0.95,
+                 exclusiveMinimum=0, maximum=1)) | {'minProperties': 1, 'remedies': {
+                     'density': "write 'pixel_density'", 'accuracy': "write 'depth_accuracy'"}}
 POSITION = many('x, y and z in metres, map frame', POINT, [1.0, 2.0, 2.2], 3, 3)
 ANGLES: dict[str, Schema] = {
     'yaw': number('degrees counter-clockwise from the x axis, -360 to 360', 90.0, minimum=-360,
@@ -115,7 +142,6 @@ FIXED = mapping(
     'a camera and its position', {'sensor': 'kinect_v2', 'position': [1.0, 2.0, 2.2], 'yaw': 90},
     ('position',), **MODEL, **ANGLES, position=POSITION, name=NAME, **DEVICE) | {
     'remedies': MODEL_REMEDIES | {'count': 'write an entry with its pose for each camera'}}
-BOOLEAN = {'description': 'true or false', 'type': 'boolean', 'examples': [True]}
 WALL_REMEDIES = dict.fromkeys(
     ('wall', 'walls', 'side', 'surface'), "write 'keep_in' beside cameras, with a box along the "
     'wall: keep_in: [{box: [[0, 0, 0], [6, 0.3, 3]]}]')
@@ -134,7 +160,7 @@ REGION = mapping(
     must_see={'description': 'true, false or the share that has to be seen, above 0, at most 1',
               'anyOf': [{'type': 'boolean'},
                         {'type': 'number', 'exclusiveMinimum': 0, 'maximum': 1}],
-              'examples': [True]}) | {
+              'examples': [True]}, require=REQUIRE) | {
     'remedies': dict.fromkeys(('volume', 'space', 'empty'), 'write air: {}')}
 RIG = mapping(
     'a rig with the key cameras', {'cameras': [{'sensor': 'realsense_d455', 'count': 3}]},
@@ -172,6 +198,7 @@ RIG = mapping(
     regions=many('a list of regions', REGION,
                  [{'name': 'table', 'box': [[1, 1, 0.5], [2, 2, 1.2]]}], 0, 1000),
     seen_by=whole('a whole number of cameras, 1 or more', 2, minimum=1, maximum=64),
+    require=REQUIRE,
     calibratable=mapping(
         'a mapping with overlap, angle or neither', {'overlap': 0.2, 'angle': 60}, (),
         overlap=number('a share above 0, at most 1', 0.2, exclusiveMinimum=0, maximum=1),

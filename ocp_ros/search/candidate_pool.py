@@ -220,7 +220,8 @@ class CandidatePool:
         for camera in rig.cameras:
             views = [*self.candidates_of(camera.model).views, *self._added_views[camera.model]]
             unions.append(View(np.bitwise_or.reduce([view.seen for view in views]),
-                               np.bitwise_or.reduce([view.covered for view in views])))
+                               np.bitwise_or.reduce([view.covered for view in views]),
+                               good=np.bitwise_or.reduce([view.good for view in views])))
         return unions
 
     def mounted_candidate(self, model: CameraModel, row: int) -> MountedCamera:

@@ -34,8 +34,9 @@ class PoseGrid:
     Poses of one camera model: places (positions), each with some headings.
 
     The visible points of each pose are computed once. P is the number of places, H the number of
-    headings of a place, N the number of points of the scene. A pose is given by the number of its
-    place and the number of its heading at this place.
+    headings of a place, N the number of points of the scene, counted once more for each
+    requirement (see ``Simulator.look_around``). A pose is given by the number of its place and the
+    number of its heading at this place.
 
     :param simulator: the engine.
     :param camera: index of a camera of this model in the rig; by it the engine finds the model.
@@ -72,7 +73,7 @@ class PoseGrid:
         """
         grid = cls(simulator, camera)
         # All poses take at most 1 GB: a pose takes about a tenth of a byte per point of the scene.
-        max_poses = min(max_poses, 10 * 1_000_000_000 // len(simulator.scene))
+        max_poses = min(max_poses, 10 * 1_000_000_000 // simulator.row_count)
         distance_m = 0.3
         places, headings, grid._least_step = region.pose_grid(
             model, distance_m, max_poses, min_places)
@@ -190,7 +191,7 @@ class PoseGrid:
         # The bits of the first place; the other places of a batch have the same number of words.
         words = self._visible[places[0]][1].shape[1]
         first_bit = 0
-        seen_by = np.zeros((len(self._simulator.scene), words), dtype=np.uint64)
+        seen_by = np.zeros((self._simulator.row_count, words), dtype=np.uint64)
         for place in places:
             points, bits = self._visible[place]
             seen_by[points] |= bits << np.uint64(first_bit)

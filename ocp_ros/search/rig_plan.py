@@ -93,6 +93,8 @@ class RigPlan:
         tolerance = 0.005
         met = all(share >= region.must_see
                   for region, share in zip(self.rig.regions, self.evaluation.regions))
+        met &= all(share >= requirement.share for requirement, share in zip(
+            self.rig.requirements, self.evaluation.requirements))
         return met and self.evaluation.connected and self.shares[by] >= target - tolerance
 
 

@@ -336,7 +336,7 @@ class GrowingProof:
         place_count = None if budget.seconds is None else TUNING.first_places
         self.relaxation = ColumnGeneration(
             LossTrees.of(problem.objective), self._grown_grids(place_count, self._is_stopped),
-            counts, problem.rig.spacing, len(problem.simulator.scene))
+            counts, problem.rig.spacing, problem.simulator.row_count)
         #: Number of poses of the grids, without those that the search adds.
         self._grid_poses = len(self.relaxation)
         deadline = budget.deadline_check(share)

@@ -100,16 +100,18 @@ def covisibility(points: np.ndarray, views: Sequence[View], condition: Calibrata
     return Covisibility(shares, _spanning_tree(shares), condition.overlap)
 
 
-def air_share(cells: np.ndarray, numbers: np.ndarray, views: Sequence[View], seen_by: int,
-              angle: float, max_gap: float = 2.0 * np.pi) -> float:
+def watched_share(places: np.ndarray, numbers: np.ndarray, bits: Sequence[np.ndarray],
+                  views: Sequence[View], seen_by: int, angle: float,
+                  max_gap: float = 2.0 * np.pi) -> float:
     """
-    Return the share of air cells that enough cameras see from directions far enough apart.
+    Return the share of cells or points that enough cameras see from directions far enough apart.
 
-    :param cells: (M, 3) metres, map frame, centres of all cells of air in the engine's order.
-    :param numbers: (S,) the indices in ``cells`` of the cells to count, S >= 1.
+    :param places: (M, 3) metres, map frame, all cells or points in the engine's order.
+    :param numbers: (S,) the indices in ``places`` of those to count, S >= 1.
+    :param bits: of each camera, (V,) uint64, packed bits of the places that it sees.
     :param views: the views of the cameras; a view from several positions at once counts for any
         direction.
-    :param seen_by: the number of cameras that have to see a cell.
+    :param seen_by: the number of cameras that have to see a place.
     :param angle: the least angle between the lines of sight of any two of these cameras, radians.
     :param max_gap: the largest angle, seen from above, between the directions of neighbouring
         cameras that see a cell, radians; a full turn for no limit.
@@ -117,8 +119,7 @@ def air_share(cells: np.ndarray, numbers: np.ndarray, views: Sequence[View], see
     # A position of NaN counts for any direction, see ``_count_watched``.
     unknown = np.full(3, np.nan)
     positions = np.array([unknown if view.position is None else view.position for view in views])
-    bits = np.stack([view.covered for view in views])
-    return _count_watched(cells, numbers, bits, positions, seen_by, np.cos(angle),
+    return _count_watched(places, numbers, np.stack(bits), positions, seen_by, np.cos(angle),
                           max_gap) / len(numbers)
 
 
@@ -222,13 +223,13 @@ def _largest_gap(directions, seeing):
 @njit(cache=True, nogil=True)
 def _count_watched(cells, numbers, covered, positions, seen_by, cosine, max_gap):
     """
-    Count the cells that C cameras see as :func:`air_share` requires.
+    Count the cells that C cameras see as :func:`watched_share` requires.
 
-    :param cells: as in :func:`air_share`, like ``numbers`` and ``seen_by``.
+    :param cells: ``places`` of :func:`watched_share`, which has ``numbers`` and ``seen_by`` too.
     :param covered: (C, V) uint64, packed bits of the cells that each camera sees.
     :param positions: (C, 3) metres, of the cameras; NaN for views that count for any direction.
     :param cosine: the cosine of the least angle between two lines of sight.
-    :param max_gap: radians, as in :func:`air_share`.
+    :param max_gap: radians, as in :func:`watched_share`.
     """
     cameras, total = len(covered), 0
     # For one cell: the unit vectors from the cameras, and the links between them as bits.

@@ -25,7 +25,13 @@ from ocp_ros.rig.feasible_region import floor_space
 from ocp_ros.rig.free_plane import CELL_M, FreePlane
 from ocp_ros.rig.rig_file import Region, Rig
 from ocp_ros.rig.structure import Air, ceiling_of, floor_height, floors_of
-from ocp_ros.simulation.covisibility import air_share, Covisibility, covisibility, SHARE_TOLERANCE
+from ocp_ros.rig.zones import Zone
+from ocp_ros.simulation.covisibility import (
+    Covisibility,
+    covisibility,
+    SHARE_TOLERANCE,
+    watched_share,
+)
 from ocp_ros.simulation.simulator import Simulator, View
 from ocp_ros.util.settings import ConfigurationError, MAX_CAMERAS
 
@@ -39,13 +45,15 @@ class RigEvaluation(NamedTuple):
 
     :ivar loss: the value to minimise: depth error / depth error of seeing nothing + sum of weight
         x unseen share + 10 x shortfall of each share that must be seen + 10 x shortfall of the
-        shared points that link all cameras, if the rig requires links.
+        shared points that link all cameras, if the rig requires links + 10 x shortfall of the
+        share that meets each requirement, as a mean over the numbers of cameras up to its own.
     :ivar depth_error: metres.
     :ivar space_coverage: cubic metres.
     :ivar regions: (R,) of each of R regions, the share of its points, or of its cells of air,
         that is seen.
     :ivar seen: the points that enough cameras see.
     :ivar connected: whether links connect all cameras, or the rig requires no links.
+    :ivar requirements: (Q,) the share of the points that meets each requirement of the rig.
     """
 
     loss: float
@@ -54,6 +62,7 @@ class RigEvaluation(NamedTuple):
     regions: np.ndarray
     seen: Subset
     connected: bool
+    requirements: np.ndarray
 
 
 class Contribution(NamedTuple):
@@ -81,7 +90,8 @@ class Objective:
     """
 
     def __init__(self, simulator: Simulator, rig: Rig) -> None:
-        self.simulator, self.rig = simulator, rig
+        self.simulator = simulator = simulator.with_requirements(rig.requirements)
+        self.rig = rig
         airs = [self._air_in(region) for region in rig.regions if region.air]
         if airs:
             self.simulator = simulator = simulator.with_air(np.concatenate(airs))
@@ -90,19 +100,31 @@ class Objective:
         air_numbers = iter(np.split(numbers, np.cumsum([len(cells) for cells in airs])))
         count = len(rig.cameras)
         self.fixed = [simulator.look(pose, count + k) for k, pose in enumerate(rig.fixed_poses)]
-        self._empty_view = View(no_bits(len(simulator.scene)), no_bits(len(simulator.places)))
+        self._empty_view = View(
+            no_bits(len(simulator.scene)), no_bits(len(simulator.places)),
+            good=np.array([no_bits(len(simulator.scene))] * len(rig.requirements), np.uint64))
         self._order = simulator.visibility.order
         #: Of each region: packed bits of its points, or the indices of its cells of air.
-        self._contents = [self._points_of(region) if region.air is None else next(air_numbers)
-                          for region in rig.regions]
+        self._contents = [
+            self._points_of(region.zone, region) if region.air is None else next(air_numbers)
+            for region in rig.regions]
+        #: Packed bits of the points of each requirement.
+        self._required = [self._points_of(requirement.zone) for requirement in rig.requirements]
         self._weights = np.array([region.weight for region in rig.regions])
         self._required_shares = np.array([region.must_see for region in rig.regions])
 
-    def _points_of(self, region: Region) -> np.ndarray:
-        """Return the points in a region as packed bits: (W,) uint64 words."""
+    def _points_of(self, zone: Zone | None, region: Region | None = None) -> np.ndarray:
+        """
+        Return the points in a zone as packed bits: (W,) uint64 words.
+
+        :param zone: None for all points.
+        :param region: the region of the zone, which is refused if it is empty.
+        """
         scene = self.simulator.scene
-        inside = region.zone.contains(scene.points, floor_height(scene))
-        self._check_inside(region, inside)
+        inside = (np.ones(len(scene), dtype=bool) if zone is None
+                  else zone.contains(scene.points, floor_height(scene)))
+        if region is not None:
+            self._check_inside(region, inside)
         return pack(inside[self._order])
 
     def _air_in(self, region: Region) -> np.ndarray:
@@ -189,12 +211,14 @@ class Objective:
         """
         Yield the costs of not seeing each of the N points, without the depth error.
 
-        The rig must not have regions of air.
+        The rig must not have regions of air, nor requirements of several cameras for a point.
 
-        :returns: pairs: (N,) the cost of each unseen point in the engine's order, and an amount of
-            the summed costs of unseen points that is free: only a larger sum costs, and only its
+        :returns: pairs: the cost of each unseen point in the engine's order, and an amount of the
+            summed costs of unseen points that is free: only a larger sum costs, and only its
             excess. The first pair is for the weights of all regions, if there are any; each
-            further pair is for one region that must be seen.
+            further pair is for one region that must be seen. At last one pair for each
+            requirement: for number k, point i has the index N (k + 1) + i, as in
+            ``Simulator.look_around``.
         """
         # Each point of a region is an equal share of the region; other points are no part of it.
         shares = [unpack(bits, len(self.simulator.scene)) / count_bits(bits)
@@ -204,6 +228,12 @@ class Objective:
         for share_by_point, required in zip(shares, self._required_shares):
             if required > 0.0:
                 yield MUST_SEE_COST * share_by_point, MUST_SEE_COST * (1.0 - required)
+        count = len(self.simulator.scene)
+        for k, (requirement, bits) in enumerate(zip(self.rig.requirements, self._required)):
+            costs = np.zeros(self.simulator.row_count)
+            costs[count * (k + 1):][:count] = (
+                MUST_SEE_COST * unpack(bits, count) / count_bits(bits))
+            yield costs, MUST_SEE_COST * (1.0 - requirement.share)
 
     def look(self, poses: np.ndarray) -> list[View]:
         """
@@ -225,11 +255,11 @@ class Objective:
         seen = self._seen(all_views)
         # The cells that at least ``rig.seen_by`` cameras see.
         covered = seen_by([view.covered for view in all_views], self.rig.seen_by)[-1]
-        loss, error, shares = self._loss_of(seen, all_views)
+        loss, error, shares, met = self._loss_of(seen, all_views)
         # A cost of links within the tolerance is a rounding error.
         return RigEvaluation(
             loss + link_cost, error, self.simulator.coverage(covered), shares,
-            Subset(seen, self._order), link_cost <= SHARE_TOLERANCE)
+            Subset(seen, self._order), link_cost <= SHARE_TOLERANCE, met)
 
     def loss(self, views: Sequence[View]) -> float:
         """Return the loss of :meth:`evaluate_views`, without the rest of the evaluation."""
@@ -258,23 +288,70 @@ class Objective:
         return float(np.mean(losses)) + self._link_cost(views)
 
     def _loss_of(self, seen: np.ndarray, views: Sequence[View], max_seen_by: int = MAX_CAMERAS
-                 ) -> tuple[float, float, np.ndarray]:
+                 ) -> tuple[float, float, np.ndarray, np.ndarray]:
         """
-        Return the loss without the cost of links, the depth error and the shares of the regions.
+        Return the loss without the cost of links, the depth error, and two arrays of shares.
+
+        They are the shares of the regions that are seen, and those that meet the requirements.
 
         :param seen: packed bits of the points that count as seen.
-        :param views: the views of all cameras, for regions of air.
+        :param views: the views of all cameras, for regions of air and requirements.
         :param max_seen_by: a region of air requires at most this number of cameras for a cell;
             :meth:`promise` lowers the requirements in this way.
         """
         error = self.simulator.depth_error(seen)
         shares = np.array([
             count_bits(seen & content) / count_bits(content) if region.air is None else
-            air_share(self._cells, content, views, *region.air.eased(max_seen_by))
+            watched_share(self._cells, content, [view.covered for view in views], views,
+                          *region.air.eased(max_seen_by))
             for region, content in zip(self.rig.regions, self._contents)])
         loss = (error / self.simulator.depth_error.worst + self._weights @ (1.0 - shares)
                 + MUST_SEE_COST * np.maximum(self._required_shares - shares, 0.0).sum())
-        return float(loss), error, shares
+        met = np.empty(len(self.rig.requirements))
+        for k, requirement in enumerate(self.rig.requirements):
+            steps = self._met_shares(k, views)
+            met[k] = steps[-1]
+            # With fewer cameras more points meet it, so this is 0 only if it is met.
+            loss += MUST_SEE_COST * np.maximum(requirement.share - steps, 0.0).mean()
+        return float(loss), error, shares, met
+
+    def _met_shares(self, number: int, views: Sequence[View]) -> np.ndarray:
+        """
+        Return the shares of the points that meet a requirement with 1, 2, ... n cameras.
+
+        n is the number that it asks for. If any one camera may fail, one more share follows, the
+        least with n cameras without one of all. So the last share is that of the requirement.
+
+        :param number: of the requirement in the rig.
+        :param views: the views of all cameras.
+        """
+        requirement, points = self.rig.requirements[number], self._required[number]
+        sight, count, one_fails = (requirement.sight, requirement.sight.seen_by,
+                                   requirement.one_may_fail)
+        good = [view.good[number] & points for view in views]
+        levels, total = seen_by(good, count + 1), count_bits(points)
+        shares = [count_bits(level) / total for level in levels[:count]]
+        if count > 1 and (sight.angle > 0.0 or sight.around):
+            # At most 8192 points, spread evenly, are compared, so that the time is bounded.
+            numbers = np.flatnonzero(unpack(points, len(self._points)))
+            numbers = numbers[::-(-len(numbers) // 8192)]
+            # All cameras, then all but one.
+            rows = [np.arange(len(views)), *(np.delete(np.arange(len(views)), k)
+                                             for k in range(len(views) if one_fails else 0))]
+
+            def share_of(row: np.ndarray, cameras: int) -> float:
+                return watched_share(
+                    self._points, numbers, [good[k] for k in row], [views[k] for k in row],
+                    *sight.eased(cameras)) if len(row) else 0.0
+
+            shares = [shares[0], *(share_of(rows[0], n) for n in range(2, count + 1))]
+            if one_fails:
+                shares.append(min(share_of(row, count) for row in rows[1:]))
+        elif one_fails:
+            # The points that need each of their cameras, and the most of them of one camera.
+            exact = levels[count - 1] & ~levels[count]
+            shares.append(shares[-1] - max(count_bits(bits & exact) for bits in good) / total)
+        return np.array(shares)
 
     def covisibility(self, views: Sequence[View]) -> Covisibility | None:
         """

@@ -35,8 +35,10 @@ from ocp_ros.geometry.cameras import (
 from ocp_ros.geometry.coverage import coverable_cell, coverage_grid, space_coverage
 from ocp_ros.geometry.depth_error import DepthError
 from ocp_ros.geometry.engine_config import EngineConfig
+from ocp_ros.geometry.measurement_quality import keep_measured_well, QualityLimits
 from ocp_ros.geometry.packed_bits import no_bits, pack, Subset, unpack
 from ocp_ros.geometry.visibility import CubeVisibility, MESH, PRESETS, SurfelVisibility
+from ocp_ros.rig.rig_file import Requirement
 from ocp_ros.scenes.scene import Scene, SceneError
 from ocp_ros.simulation.ray_visibility import RayVisibility
 from ocp_ros.simulation.simulation_config import SimulationConfig
@@ -44,6 +46,7 @@ from ocp_ros.simulation.viewpoints import viewpoints_of
 from ocp_ros.util.settings import ConfigurationError
 
 _log = logging.getLogger(__name__)
+NO_INDICES = np.empty(0, dtype=np.int64)
 
 
 class View(NamedTuple):
@@ -55,11 +58,14 @@ class View(NamedTuple):
         of air, in V words.
     :ivar position: (3,) the position of the camera, metres, map frame; None for several positions
         at once.
+    :ivar good: (Q, W) uint64, the same as ``seen`` for the points that the camera measures as each
+        of the Q requirements of the simulator asks; without rows if there are none.
     """
 
     seen: np.ndarray
     covered: np.ndarray
     position: np.ndarray | None = None
+    good: np.ndarray = np.empty((0, 0), dtype=np.uint64)
 
 
 class Evaluation(NamedTuple):
@@ -124,6 +130,8 @@ class Simulator:
                 f'simulator: found {type(scene).__name__} and {type(config).__name__}; expected a '
                 'Scene, such as from load_scene, and a SimulationConfig')
         self.scene, self.config = scene, config
+        #: For each of Q requirements, the limits of each of the models.
+        self.limits: tuple[tuple[QualityLimits, ...], ...] = ()
         self._set_models(config.rig.models if models is None else models)
         self.height = float(scene.bounds[0, 2] + config.rig.height)
         if models is None and self.height >= scene.bounds[1, 2]:
@@ -159,6 +167,8 @@ class Simulator:
         """
         other = copy(self)
         other._set_models(models)
+        # They are those of the other models; the objective sets those of its rig.
+        other.limits = ()
         other.config = config or self.config
         return other
 
@@ -203,6 +213,53 @@ class Simulator:
         return SurfelVisibility(scene.points, scene.normals_or_estimate, scene.pitch, self.grid,
                                 PRESETS[preset])
 
+    def with_requirements(self, requirements: Sequence[Requirement]) -> 'Simulator':
+        """
+        Return the same simulator with views that say which points meet each requirement.
+
+        :raises ValueError: if a camera lacks a parameter that a requirement needs.
+        """
+        if not requirements and not self.limits:
+            return self
+        other = copy(self)
+        other.limits = tuple(tuple(requirement.limits_of(model) for model in self.models)
+                             for requirement in requirements)
+        return other
+
+    def _good_points(self, seen: np.ndarray, pose: Pose, camera: int) -> np.ndarray:
+        """Return ``View.good`` of a view of one camera, given the points (W,) that it sees."""
+        good = np.zeros((len(self.limits), len(seen)), dtype=np.uint64)
+        indices = np.flatnonzero(unpack(seen, len(self.scene))) if self.limits else NO_INDICES
+        visible = np.ones((len(indices), 1), dtype=np.uint64)
+        for row, bits in zip(good, self._good_headings(
+                indices, pose.position, pose.rotation[None], visible, camera)):
+            flags = np.zeros(len(self.scene), dtype=bool)
+            flags[indices] = bits[:, 0] > 0
+            row[:] = pack(flags)
+        return good
+
+    def _good_headings(self, indices: np.ndarray, position: np.ndarray, rotations: np.ndarray,
+                       bits: np.ndarray, camera: int) -> list[np.ndarray]:
+        """
+        Return with which headings visible points meet each of the Q requirements.
+
+        :param indices: (n,) of the points in the engine's order.
+        :param rotations: (H, 3, 3) of the headings.
+        :param bits: (n, W) uint64, the headings with which each point is visible.
+        :returns: Q arrays like ``bits``.
+        """
+        if not self.limits:
+            return []
+        rows = self.visibility.order[indices]
+        points = self.scene.points[rows].astype(np.float64)
+        normals = self.scene.normals_or_estimate[rows].astype(np.float64)
+        found = []
+        for limits in self.limits:
+            found.append(bits.copy())
+            keep_measured_well(points, normals, position, rotations, limits[self.kind(camera)],
+                               found[-1])
+        return found
+
     def with_validation(self) -> 'Simulator':
         """Return the same simulator with the depth error on the validation viewpoints."""
         other = copy(self)
@@ -233,7 +290,7 @@ class Simulator:
         pose, lens = self._aimed(pose, camera)
         view = View(no_bits(len(self.scene)), no_bits(len(self.places)), pose.position)
         self.visibility.look(pose, lens, view.seen, view.covered)
-        return view
+        return view._replace(good=self._good_points(view.seen, pose, camera))
 
     def look_from_all(self, poses: np.ndarray, cameras: Sequence[int]) -> list[View]:
         """
@@ -250,7 +307,8 @@ class Simulator:
         seen, covered = (np.array([no_bits(count)] * len(aimed))
                          for count in (len(self.scene), len(self.places)))
         self.visibility.look_from_all(arrays, seen, covered)
-        return [View(*view) for view in zip(seen, covered, arrays.positions)]
+        return [View(*view, self._good_points(view[0], pose, camera)) for view, (pose, _), camera
+                in zip(zip(seen, covered, arrays.positions), aimed, cameras)]
 
     def _aimed(self, pose: np.ndarray | Pose, camera: int) -> tuple[Pose, Frustum]:
         """Return the pose and the lens (field of view, range) of a camera, for the kernels."""
@@ -270,7 +328,8 @@ class Simulator:
         :param camera: the index of the camera in the rig.
         :returns: the n points visible with any heading, (n,) int32 indices in the engine's order,
             and the headings with which each point is visible: (n, W) uint64, bit k of word w for
-            heading 64 w + k, with W words for H headings.
+            heading 64 w + k, with W words for H headings. For requirement k, N (k + 1) is added
+            to the indices of the points that meet it, N being the number of points.
         """
         lens = self._lenses[self.kind(camera)]
         seen = no_bits(len(self.scene))
@@ -278,10 +337,20 @@ class Simulator:
         self.visibility.look(Pose(position, LEVEL), around, seen)
         indices = np.flatnonzero(unpack(seen, len(self.scene))).astype(np.int32)
         bits = np.zeros((len(indices), -(-len(headings) // 64)), dtype=np.uint64)
-        mark_headings(self.scene.points[self.visibility.order[indices]], position,
-                      np.array([rotation_matrix(*heading) for heading in headings]), lens, bits)
-        in_any = bits.any(axis=1)
-        return indices[in_any], bits[in_any]
+        rotations = np.array([rotation_matrix(*heading) for heading in headings])
+        mark_headings(self.scene.points[self.visibility.order[indices]], position, rotations, lens,
+                      bits)
+        all_bits = np.vstack([bits, *self._good_headings(indices, position, rotations, bits,
+                                                         camera)])
+        rows = np.concatenate([indices + np.int32(k * len(self.scene))
+                               for k in range(1 + len(self.limits))])
+        in_any = all_bits.any(axis=1)
+        return rows[in_any], all_bits[in_any]
+
+    @property
+    def row_count(self) -> int:
+        """Return the number of points, counted once more for each requirement."""
+        return len(self.scene) * (1 + len(self.limits))
 
     def evaluate_views(self, views: Sequence[View]) -> Evaluation:
         """
@@ -374,4 +443,5 @@ class Simulator:
         around = View(no_bits(len(self.scene)), no_bits(len(self.places)))
         visibility.look(Pose(poses[0, :3], LEVEL), lens._replace(kind=OMNIDIRECTIONAL),
                         around.seen, around.covered)
-        return clipped(visibility, around, poses, lens)
+        return [view._replace(good=self._good_points(view.seen, Pose.of(pose), camera))
+                for view, pose in zip(clipped(visibility, around, poses, lens), poses)]

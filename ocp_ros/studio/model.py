@@ -222,8 +222,8 @@ class Studio:
         self.engine = engine or (with_rays(PROMISING, scene) if has_exact_mesh else PROMISING)
         rig = split_groups(rig)
         self._simulator = Simulator(scene, SimulationConfig(engine=self.engine), rig.models)
-        #: Views by engine, camera model and pose; those that were used last come last.
-        self._views: dict[tuple[object, CameraModel, bytes], View] = {}
+        #: Views by engine, camera model, pose and limits; those that were used last come last.
+        self._views: dict[tuple[object, CameraModel, bytes, object], View] = {}
         self._evaluation: Evaluation | None = None
         self._problem = self.problem_of(rig)
         #: Cached positions for :meth:`_allowed_positions`.
@@ -266,8 +266,8 @@ class Studio:
         """
         views = []
         for camera, (model, pose) in enumerate(zip(problem.models, state.poses)):
-            # Regions of air change the cells of a view.
-            key = problem.simulator.visibility, model, pose.tobytes()
+            # Regions of air change the cells of a view, requirements its good points.
+            key = (problem.simulator.visibility, model, pose.tobytes(), problem.simulator.limits)
             view = self._views.pop(key, None)
             if view is None:
                 view = problem.simulator.look(pose, camera)

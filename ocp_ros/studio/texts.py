@@ -104,9 +104,11 @@ def figures_of(evaluation: Evaluation) -> list[tuple[str, str]]:
 
 
 def region_table(evaluation: Evaluation) -> str:
-    """Return the table of the regions as HTML; empty without regions."""
-    rows = facts.region_rows(evaluation.rig_scores)
-    return table(rows, head=facts.REGION_COLUMNS) if rows else ''
+    """Return the tables of regions and requirements as HTML; empty without both."""
+    scores = evaluation.rig_scores
+    return ''.join(table(rows, head=columns) for rows, columns in (
+        (facts.region_rows(scores), facts.REGION_COLUMNS),
+        (facts.requirement_rows(scores), facts.REQUIREMENT_COLUMNS)) if rows)
 
 
 def room_table(evaluation: Evaluation) -> str:

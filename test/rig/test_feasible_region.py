@@ -33,7 +33,7 @@ from ocp_ros.rooms.generator import plan_of
 from ocp_ros.scenes.scene import Scene, turned
 from ocp_ros.search.budget import Budget
 from ocp_ros.search.rig_plan import RigPlanner
-from ocp_ros.simulation.covisibility import air_share, covisibility
+from ocp_ros.simulation.covisibility import covisibility, watched_share
 from ocp_ros.simulation.problem import Problem
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import View
@@ -496,11 +496,13 @@ def test_air_counts_where_enough_cameras_look_from_enough_directions(
     found = [any(all(between[one, other, n] >= angle for one, other in combinations(some, 2))
                  for some in combinations(np.flatnonzero(seen[:, n]), seen_by)) and is_around(n)
              for n in numbers]
-    assert air_share(cells, numbers, views, seen_by, *np.deg2rad([angle, gap])) == np.mean(found)
+    bits = [view.covered for view in views]
+    assert watched_share(cells, numbers, bits, views, seen_by, *np.deg2rad([angle, gap])
+                         ) == np.mean(found)
     # Cameras that are everywhere at once see from all directions.
     everywhere = [view._replace(position=None) for view in views]
     enough = (seen[:, numbers].sum(axis=0) >= seen_by).mean()
-    assert air_share(cells, numbers, everywhere, seen_by, np.deg2rad(angle)) == enough
+    assert watched_share(cells, numbers, bits, everywhere, seen_by, np.deg2rad(angle)) == enough
 
 
 def test_a_volume_that_two_cameras_watch_from_two_sides_is_planned_for():

@@ -20,7 +20,7 @@ from conftest import for_any, made_room, printed
 from hypothesis import strategies
 import numpy as np
 from ocp_ros.geometry.engine_config import EngineConfig
-from ocp_ros.geometry.packed_bits import no_bits, unpack
+from ocp_ros.geometry.packed_bits import no_bits, pack, unpack
 from ocp_ros.report.rig_planning import certificate_data
 from ocp_ros.rig.rig_file import rig_from, rig_of
 from ocp_ros.search.budget import Budget
@@ -45,6 +45,7 @@ import yaml
 FAST = SimulationConfig(engine=EngineConfig(preset='fast', error_rows=16))
 TABLE = {'name': 'table', 'box': [[2, 2, 0], [5, 5, 1.5]], 'weight': 2.0}
 MUST = {'name': 'door', 'box': [[0, 0, 0], [2, 2, 2]], 'weight': 0.5, 'must_see': 0.8}
+REQUIRE = {'require': {'pixel_density': 'characterise', 'incidence': 70, 'share': 0.8}}
 IN_PLACE = {'sensor': 'realsense_d455', 'position': [6.0, 6.0, 2.0], 'yaw': 225, 'pitch': 25}
 
 
@@ -71,23 +72,22 @@ def few_of(problem, most):
     grid.grow()
     relaxation = ColumnGeneration(LossTrees.of(problem.objective), [grid],
                                   [len(problem.rig.cameras)], problem.rig.spacing,
-                                  len(problem.simulator.scene))
+                                  problem.simulator.row_count)
     return relaxation, grid
 
 
 def view_of(grid, place, heading, points):
-    """Return what a pose of a grid sees, without cells."""
-    flags = np.zeros(points, dtype=bool)
+    """Return what a pose of a grid sees, and what meets each requirement, without cells."""
+    flags = np.zeros(grid._simulator.row_count, dtype=bool)
     flags[grid.visible_points(place, heading)] = True
-    bits = no_bits(points)
-    bits.view(np.uint8)[:-(-points // 8)] = np.packbits(flags, bitorder='little')
-    return View(bits, no_bits(0))
+    seen, *good = map(pack, flags.reshape(-1, points))
+    return View(seen, no_bits(0), good=np.array(good))
 
 
 @pytest.fixture(scope='module')
 def asked():
     """Return a rig that asks for much, the poses of a few places, and what each of some sees."""
-    problem = problem_of(2, regions=[TABLE, MUST], fixed=[IN_PLACE])
+    problem = problem_of(2, regions=[TABLE | REQUIRE, MUST], fixed=[IN_PLACE])
     relaxation, grid = few_of(problem, 600)
     numbers = np.random.default_rng(0).choice(len(grid), 40, replace=False)
     turns = len(grid.headings[0])
@@ -141,11 +141,12 @@ def test_the_trees_are_the_loss_and_cuts_are_below(asked, data):
     share = np.array(data.draw(strategies.lists(strategies.floats(0.0, 1.0), min_size=len(poses),
                                                 max_size=len(poses))))
     loss = problem.objective.loss([view_of(grid, *poses[k], points) for k in chosen])
-    own = poses_by_point([grid.visible_points(*poses[k]) for k in chosen], points)
+    rows = problem.simulator.row_count
+    own = poses_by_point([grid.visible_points(*poses[k]) for k in chosen], rows)
     missed, _ = trees.loss_cuts(own, len(chosen),
                                 trees.unserved_nodes(own, np.ones(len(chosen))))
     assert np.maximum(missed, 0.0).sum() == pytest.approx(loss, abs=1e-6)
-    seen_by = poses_by_point([grid.visible_points(*pose) for pose in poses], points)
+    seen_by = poses_by_point([grid.visible_points(*pose) for pose in poses], rows)
     constants, gains = trees.loss_cuts(seen_by, len(poses),
                                        trees.unserved_nodes(seen_by, share))
     choice = np.zeros(len(poses))
@@ -155,7 +156,7 @@ def test_the_trees_are_the_loss_and_cuts_are_below(asked, data):
 
 @pytest.mark.parametrize('more', [
     {}, {'spacing': 0.0}, {'spacing': 3.0}, {'regions': [TABLE, MUST]},
-    {'fixed': [IN_PLACE], 'regions': [TABLE]}])
+    {'fixed': [IN_PLACE], 'regions': [TABLE]}, {'require': {'incidence': 50}, 'regions': [TABLE]}])
 def test_no_choice_of_all_poses_is_below_the_bound(more):
     problem = problem_of(2, 'omnidirectional', **more)
     relaxation, grid = few_of(problem, 40)

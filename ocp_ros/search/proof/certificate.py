@@ -75,4 +75,7 @@ def unprovable_reason(objective: Objective) -> str | None:
         return 'found calibratable; expected a rig without it, for bounds do not know of pairs'
     if any(region.air for region in objective.rig.regions):
         return 'found regions of air; expected regions of points, for bounds do not know of pairs'
+    if any(requirement.cameras > 1 for requirement in objective.rig.requirements):
+        return ('found require with several cameras for a point; expected one camera, for bounds '
+                'do not know of pairs')
     return None

@@ -34,7 +34,7 @@ from typing import NamedTuple
 
 import numpy as np
 from ocp_ros.geometry.depth_error import Trees
-from ocp_ros.geometry.packed_bits import no_bits, unpack
+from ocp_ros.geometry.packed_bits import unpack
 from ocp_ros.simulation.objective import Objective
 from ocp_ros.util.kernels import njit
 from ocp_ros.util.threads import mapped
@@ -47,7 +47,8 @@ class LossTrees(NamedTuple):
     """
     The loss as T nodes of trees, parents before children, in B parts.
 
-    Other sizes of arrays: N points of the scene, n poses, W words of 64 bits.
+    Other sizes of arrays: N points of the scene, counted once more for each requirement, n poses,
+    W words of 64 bits.
 
     :ivar points: (T,) uint32, the last point of each node.
     :ivar ends: (T,) uint32, the first node after the subtree of each node.
@@ -105,10 +106,12 @@ class LossTrees(NamedTuple):
         parents, depth = _parents_and_depth(ends)
         trees = cls(np.concatenate(point_arrays), ends, parents, np.maximum(weights, 0.0), depth,
                     np.array([*starts, len(weights)]), np.array(slacks), rounding)
-        seen = np.bitwise_or.reduce([no_bits(len(objective.simulator.scene)),
-                                     *(view.seen for view in objective.fixed)])
         # The nodes that fixed cameras serve cost nothing. All fixed cameras together are one pose.
-        seen_by = unpack(seen, len(objective.simulator.scene)).astype(np.uint64)[:, None]
+        count = len(objective.simulator.scene)
+        seen = np.zeros(objective.simulator.row_count, dtype=bool)
+        for view in objective.fixed:
+            seen |= np.concatenate([unpack(bits, count) for bits in (view.seen, *view.good)])
+        seen_by = seen.astype(np.uint64)[:, None]
         return trees._replace(weights=trees.weights * trees.unserved_nodes(seen_by, np.ones(1)))
 
     def unserved_nodes(self, seen_by: np.ndarray, shares: np.ndarray) -> np.ndarray:
