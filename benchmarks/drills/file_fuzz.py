@@ -59,7 +59,7 @@ from scipy.spatial.transform import Rotation
 #: What may come of a file; the last three must not.
 OUTCOMES = ('read', 'refused', 'wrong', 'crashed', 'hung')
 #: Seconds after which a file hangs, and until a process is ready.
-PATIENCE, START = 60.0, 120.0
+PATIENCE, START = 300.0, 600.0
 #: Bytes of address space of the process that reads, and characters of a sentence.
 MOST, SENTENCE = 4_000_000_000, 2500
 #: What bytes and numbers of a file are made to be.
@@ -101,10 +101,12 @@ def write_packed_pcd(path, points):
         .encode() + struct.pack('<II', len(packed), len(body)) + packed)
 
 
-def write_las(path, points, offsets=(0.0, 0.0, 0.0)):
-    """Write points (N, 3) as LAS or LAZ, by the suffix."""
+def write_las(path, points, offsets=(0.0, 0.0, 0.0), projection=''):
+    """Write points (N, 3) as LAS or LAZ, by the suffix, with a projection as WKT."""
     header = laspy.LasHeader(point_format=3, version='1.2')
     header.scales, header.offsets = [1e-4] * 3, offsets
+    if projection:
+        header.vlrs.append(laspy.VLR('LASF_Projection', 2112, '', projection.encode()))
     content = laspy.LasData(header)
     content.x, content.y, content.z = points.astype(np.float64).T
     content.write(path)
@@ -476,6 +478,9 @@ class FormatTrial:
             try:
                 line = lines.get(timeout=patience)
             except queue.Empty:
+                if current is None:
+                    raise RuntimeError(
+                        f'{self.name}: no process read within {patience:.0f} s') from None
                 return self._lost(current, 'hung', '')
             if not line:
                 return self._ended(process, current)

@@ -36,7 +36,14 @@ from typing import NamedTuple
 
 from backports import zstd
 from benchmarks import results
-from benchmarks.drills.file_fuzz import gltf_of, good_files, read_one, write_e57, write_obj
+from benchmarks.drills.file_fuzz import (
+    gltf_of,
+    good_files,
+    read_one,
+    write_e57,
+    write_las,
+    write_obj,
+)
 import numpy as np
 from ocp_ros.compare.comparison import run_tasks
 from ocp_ros.compare.protocol import PRESETS
@@ -205,7 +212,7 @@ def _ply_files(folder: Path, url: str) -> Iterator[Hostile]:
 
 
 def _texts(folder: Path, url: str, secret: Path) -> Iterator[Hostile]:
-    """Write settings that name other files, texts and weights without end."""
+    """Write settings that name other files, texts and weights without end, and long lines."""
     for name, text, read in (
             ('tag.yaml', f'cameras: !include {secret}', load_rig),
             ('object.yaml', "cameras: !!python/object/apply:os.system ['true']", load_rig),
@@ -221,10 +228,22 @@ def _texts(folder: Path, url: str, secret: Path) -> Iterator[Hostile]:
     for name, kind, read in (('line.txt', 'text', load_scene), ('line.xyz', 'text', load_scene),
                              ('sparse.safetensors', 'weights', _load_weights),
                              ('compared.safetensors', 'weights', _compare_weights),
-                             ('sparse.yaml', 'YAML', load_rig)):
+                             ('sparse.yaml', 'YAML', load_rig), ('sparse.obj', 'OBJ', load_scene),
+                             ('sparse.glb', 'glTF', load_scene)):
         with (folder / name).open('wb') as file:
             file.truncate(SPARSE)
         yield Hostile(kind, folder / name, read)
+    # Lines whose time or memory could grow with the square of their length.
+    for name, line in (('name.xyz', 'x' * 99_000), ('names.xyz', 'x ' * 49_000),
+                       ('bracket.csv', f'{"[" * 90_000};b;c'),
+                       ('unit.xyz', f'# unit {"9" * 15_000} a')):
+        (folder / name).write_text(f'{line}\n1 2 3\n')
+        yield Hostile('text', folder / name, load_scene)
+    for name, number in (('dots', '1.2.3'), ('digits', '9' * 30_000)):
+        path = folder / f'{name}.las'
+        write_las(path, generate_room(3, 2000).points,
+                  projection=f'UNIT["{"m" * 30_000}",{number}]')
+        yield Hostile('LAS', path, load_scene)
 
 
 def _load_weights(path: Path) -> None:

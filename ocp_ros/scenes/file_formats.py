@@ -56,7 +56,8 @@ COMMENT_UNITS = {
 #: the name of a column with its unit, such as ``x [mm]``.
 COMMENT_ON_UNIT = re.compile(
     r'^[^\S\n]*(?:(?:#|//|comment\b).*?\b(?:units?|dimensions|coordinates)\b[^\w\n]*'
-    r'(?:(?:of|length|are|is|in)[^\w\n]+)*(?P<number>\d*\.?\d+\s*)?|(?://\s*)?"?x[^\S\n]*[\[(])'
+    r'(?:(?:of|length|are|is|in)[^\w\n]+)*(?P<number>(?:\d+(?:\.\d*)?|\.\d+)\s*)?'
+    r'|(?://\s*)?"?x[^\S\n]*[\[(])'
     f'(?P<unit>{"|".join(COMMENT_UNITS)})\\b', re.IGNORECASE | re.MULTILINE)
 #: Columns of a PLY file of Gaussian splats, as those of Kerbl et al. 2023.
 SPLAT_COLUMNS = (b' f_dc_0', b' opacity', b' scale_0')

@@ -156,12 +156,13 @@ def _projection_records(file: BinaryIO) -> Iterator[tuple[int, bytes]]:
 def _units_of_wkt(text: str) -> tuple[LengthUnit | None, LengthUnit | None]:
     """Return the units of plan and height in the text of a coordinate reference system (WKT)."""
     # UNIT and LENGTHUNIT, not ANGLEUNIT or SCALEUNIT. UNIT may be of angles too.
-    unit = re.compile(r'\b(?:LENGTH)?UNIT\s*[\[(]\s*"([^"]*)"\s*,\s*([0-9.]+(?:[eE][+-]?[0-9]+)?)')
+    unit = re.compile(r'\b(?:LENGTH)?UNIT\s*[\[(]\s*"([^"]*)"\s*,\s*'
+                      r'((?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?)\s*[,\])]', re.ASCII)
     angle_name = re.compile('deg|rad|gon|grad|arc|unity', re.IGNORECASE)
     plan_text, *height_texts = re.split(r'\bVERT(?:_CS|CS|CRS|ICALCRS)\b', text, maxsplit=1)
     found: list[LengthUnit | None] = []
     for part in (plan_text, ''.join(height_texts)):
-        units = [LengthUnit(name, float(metres)) for name, metres in unit.findall(part)
+        units = [LengthUnit(name[:60], float(metres)) for name, metres in unit.findall(part)
                  if not angle_name.search(name)]
         # The unit of a system stands after those of its parts. Units below a millimetre, or of a
         # kilometre or more, are not accepted.

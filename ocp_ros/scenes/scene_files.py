@@ -18,6 +18,7 @@ from dataclasses import replace
 import difflib
 import io
 import logging
+import os
 from os import PathLike
 from pathlib import Path
 import warnings
@@ -417,9 +418,16 @@ def check_file(path: Path) -> None:
                 'convert it, for example with CloudCompare')
         raise SceneError(f'{path.name}: found the suffix {path.suffix!r}; expected one of '
                          f'{" ".join(suffixes)}; {hint}')
-    if path.stat().st_size == 0:
+    state = path.stat()
+    if state.st_size == 0:
         raise SceneError(f'{path.name}: found an empty file; expected a room of at least '
                          f'{MIN_POINTS} points; copy or export it again')
+    # Its blocks have 512 bytes. Where a file system knows no holes, the first one is at the end.
+    written = 512 * state.st_blocks
+    with path.open('rb') as file:
+        if 10 * written < state.st_size != os.lseek(file.fileno(), 0, os.SEEK_HOLE):
+            raise SceneError(f'{path.name}: found {state.st_size:,} bytes, of which {written:,} '
+                             'were written; expected a whole file; copy or download it again')
 
 
 def _records(values: np.ndarray, columns: list[tuple[str, str]]) -> np.ndarray:

@@ -15,7 +15,7 @@
 """Text files of numbers, with errors that name the line."""
 
 from collections.abc import Callable, Iterator, Sequence
-from itertools import islice, product
+from itertools import chain, islice, product
 from pathlib import Path
 import re
 from typing import NamedTuple
@@ -209,7 +209,8 @@ def _format_of_lines(lines: Sequence[tuple[str, int]], name: str) -> TableFormat
     has_decimal_comma = separator != ',' and any(
         re.search(r'\d,\d', line) for line, _ in lines)
     # A unit may stand after the name of a column.
-    names = [re.sub(r'\s*[\[(][^\])]*[\])]\s*$', '', cell.strip(' "\'\t').lower())
+    # No name is longer; the time of the search for a unit grows with the square of the length.
+    names = [re.sub(r'\s*[\[(][^\])]*[\])]\s*$', '', cell.strip(' "\'\t')[:100].lower())
              for cell in first_line.split(separator)]
     if separator is None:
         # A unit after a blank, as in x [m], is not a column.
@@ -328,18 +329,19 @@ def _coordinate_columns(names: Sequence[str]) -> list[int] | None:
         ``points_xyz:0`` to ``points_xyz:2``, or easting, northing and elevation; None if there are
         no such columns.
     """
-    known = list(names)
+    # The names in their order, as keys, which are found fast: a line may have many.
+    known = dict.fromkeys(names)
     # For each x in a name: the names with x, y and z at its position; short names come first.
-    triples: list[Sequence[str]] = [
-        [name[:position] + axis + name[position + 1:] for axis in 'xyz']
-        for name in sorted(known, key=len) for position, letter in enumerate(name)
-        if letter == 'x']
-    # For each name such as points_xyz:0: the names with 0, 1 and 2.
-    triples += [[f'{name[:-1]}{number}' for number in range(3)] for name in known
-                if name.endswith(':0') and re.search('xyz|point|pos|coord', name)]
-    triples += product(*SURVEY_NAMES)
-    return next(([known.index(name) for name in triple] for triple in triples
-                 if all(name in known for name in triple)), None)
+    triples: Iterator[Sequence[str]] = chain(
+        ([name[:position] + axis + name[position + 1:] for axis in 'xyz']
+         for name in sorted(known, key=len) for position, letter in enumerate(name)
+         if letter == 'x'),
+        # For each name such as points_xyz:0: the names with 0, 1 and 2.
+        ([f'{name[:-1]}{number}' for number in range(3)] for name in known
+         if name.endswith(':0') and re.search('xyz|point|pos|coord', name)),
+        product(*SURVEY_NAMES))
+    return next(([names.index(name) for name in triple] for triple in triples
+                 if known.keys() >= set(triple)), None)
 
 
 def _find_bad_line(path: Path, table_format: TableFormat) -> SceneError | None:

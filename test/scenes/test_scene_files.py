@@ -16,6 +16,7 @@
 
 from functools import partial
 import logging
+import os
 
 from benchmarks.drills import file_fuzz as files
 from conftest import made_room, refusal, ROOT
@@ -296,6 +297,8 @@ REFUSED = {
     'two axes.npy': (lambda path: np.save(path, ROOM[:, :2]), 'float32'),
     'one axis.npy': (lambda path: np.save(path, ROOM[:900].ravel()), '(2700,)'),
     'pickled.npy': (lambda path: np.save(path, np.array([{}], dtype=object)), 'export'),
+    'hollow.ply': (lambda path: (files.write_ply(path, ROOM), os.truncate(path, 1 << 30)),
+                   'were written'),
     'words.npy': (lambda path: np.save(path, ROOM.astype(str)), '<U'),
 }
 
