@@ -184,7 +184,8 @@ def _plan_sheet(assessed: Assessment, facts: PageFacts, size: tuple[float, float
     draw_distances(axes, assessed)
     draw_axes(axes, assessed, 0.4 * scale / INCHES_PER_M)
     draw_marks(axes, assessed, 1.2)
-    gap = 0.5 * scale / INCHES_PER_M
+    # Beyond the letters of the walls.
+    gap = 0.68 * scale / INCHES_PER_M
     (left, bottom), (right, top) = corners
     _draw_dimension(axes, np.array([[left, bottom - gap], [right, bottom - gap]]))
     _draw_dimension(axes, np.array([[right + gap, bottom], [right + gap, top]]))
@@ -246,8 +247,8 @@ def _draw_elevation(axes: Axes, assessed: Assessment, one: Elevation, height: fl
               markersize=1.2, zorder=1, rasterized=True)
     axes.plot([0.0, one.length, one.length, 0.0, 0.0], [0.0, 0.0, height, height, 0.0], color=INK,
               linewidth=1.0, zorder=2)
-    axes.text(0.5 * one.length, 1.02 * height, one.wall.letter, fontsize=12, fontweight='bold',
-              color=INK, ha='center', va='bottom')
+    axes.annotate(one.wall.letter, (0.0, 0.5 * height), (-18.0, 0.0), fontsize=12, color=INK,
+                  textcoords='offset points', fontweight='bold', ha='center', va='center')
     for number in one.cameras:
         placed = assessed.placement.cameras[number]
         x = float(np.array(placed.position[:2]) @ one.along) - one.start
@@ -281,7 +282,8 @@ def _view_sheet(assessed: Assessment, facts: PageFacts, size: tuple[float, float
         axes.imshow(depth_colours(image, model), aspect='equal')
         axes.set_axis_off()
         lines = (f'{number + 1} {placed.camera.name}', f'{lens_text(model)}; '
-                 f'{percent(float(seen.mean()))} of the points', assessed.aims[number])
+                 f'{percent(float(seen.mean()))} of the points',
+                 f'centre: {assessed.aims[number]}')
         for line, text in enumerate(lines):
             write(figure, (left + 0.05, bottom + height - 0.14 - 0.17 * line), text, width - 0.25,
                   9 if line == 0 else 7,
