@@ -105,8 +105,9 @@ class Answers:
         assert isinstance(self.node.source, SimulatedTurns)
         self.turns = self.node.source
         self._published = 0.0
-        self._plan_ahead = self.node.plan_ahead
-        self.node.plan_ahead = self._reflect  # type: ignore[method-assign]
+        # In this thread, so that the time is that of the planner alone.
+        self._plan_ahead = self.node.decider.step.plan_ahead
+        self.node.decider.plan_ahead = self._reflect  # type: ignore[method-assign]
         # A node that has just begun looks first whether another one commands.
         watch.spin_until(lambda: not self.node.must_wait, PATIENCE, 'the right to command', [])
 

@@ -52,7 +52,7 @@ def _objective_value(seen, covered, trees, pixels, weight):
     return lost_depth(trees, seen) / pixels - weight * count_bits(covered)
 
 
-@njit(nogil=True)
+@njit(cache=True, nogil=True)
 def _union(views):
     """Return the union (W,) of M views (M, W) uint64, packed bits."""
     union = np.zeros_like(views[0])

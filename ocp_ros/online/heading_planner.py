@@ -95,7 +95,8 @@ class HeadingPlanner:
         self._computed_turn: int | None = None
 
     def __call__(self, cloud: np.ndarray, rig_state: RigState, targets: np.ndarray,
-                 max_turn: float, turn: int, turns: int) -> np.ndarray:
+                 max_turn: float, turn: int, turns: int,
+                 interrupted: Callable[[], bool] = never_interrupted) -> np.ndarray:
         """
         Choose the headings of the cameras at their target positions.
 
@@ -105,12 +106,13 @@ class HeadingPlanner:
         :param max_turn: largest rotation of a camera in a turn, radians.
         :param turn: turns taken so far.
         :param turns: turns of the whole episode.
+        :param interrupted: as for :meth:`think`.
         :returns: (K + F, 3) yaw, pitch, roll in radians. A pitch that started outside the limits
             may still be outside them.
         """
         self._memory.visit(rig_state.placement, rig_state.lenses)
         if self._computed_turn != turn:
-            self.think(cloud, rig_state, targets, max_turn, turn, turns)
+            self.think(cloud, rig_state, targets, max_turn, turn, turns, interrupted)
         self._computed_turn = None
         return turned_towards(rig_state.placement[:, 3:], self._goal_headings, max_turn)
 

@@ -26,9 +26,9 @@ places of the episode is annealed once more among all candidates and then in sma
 finer model and among positions that the cameras can still reach: a plan that is good on a coarsely
 thinned cloud is often worse in the room.
 
-In an episode of many turns the next plan is computed while the cameras move; see
-:class:`~ocp_ros.online.online_planner.PipelinedPlanner`. There the annealing on the finer model is
-done in parts, one in each turn.
+In an episode of many turns, and with real cameras, the next plan is computed while the cameras
+move; see :meth:`~ocp_ros.online.online_planner.Online.plans_ahead`. There the annealing on the
+finer model is done in parts: one in each turn, or with real cameras as many as there is time for.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -53,7 +53,8 @@ class LookaheadTuning:
     """
     Constants of the planner; pairs are the first and the last value of a geometric schedule.
 
-    An episode is *pipelined* if its plans are computed while the cameras move.
+    An episode is *pipelined* if its plans are computed while the cameras move, with a fixed amount
+    of work in each turn. An episode *at once* has no such amount.
 
     :ivar spacing_m: metres between candidate positions; more in a large room.
     :ivar max_positions: largest number of candidate positions.
@@ -67,6 +68,10 @@ class LookaheadTuning:
     :ivar refining_turns: smallest number of turns for which that model is reused.
     :ivar survey_turns: turns before the refinement at which a pipelined episode creates that
         model and anneals the plan on it among all candidates (the survey).
+    :ivar lead_turns: the same, in an episode at once.
+    :ivar survey_runs: runs of annealing in the survey of an episode at once: each ends in another
+        local optimum, and the best one holds.
+    :ivar parts: parts of each run of annealing among candidates in an episode at once.
     :ivar proposals: proposals of a turn of refinement.
     :ivar pipelined_proposals: the same, in a pipelined episode.
     :ivar model_turn_proposals: the same, in a turn that also creates a model.
@@ -86,6 +91,9 @@ class LookaheadTuning:
     refining_model: tuple[int, int] = 60000, 128
     refining_turns: int = 4
     survey_turns: int = 2
+    lead_turns: int = 1
+    survey_runs: int = 3
+    parts: int = 10
     proposals: int = 240
     pipelined_proposals: int = 112
     model_turn_proposals: int = 16
@@ -121,16 +129,23 @@ class Lookahead(PipelinedPlanner):
         self._kept_model = KeptModel(self.max_range, self.wall_margin, *TUNING.refining_model)
         #: The remaining parts of the survey, see :meth:`_survey`.
         self._remaining_survey: Iterator[object] = iter(())
-        self._is_surveyed = False
+        self._is_explored = self._is_surveyed = False
         #: Turn in which the last refining model or the last candidates were created.
         self._model_turn = 0
 
     def _think(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> None:
         """Compute the plan for a turn; see :meth:`PipelinedPlanner._think`."""
-        pipelined = self._ahead(turns)
+        pipelined = self.plans_ahead(turns)
         if self._finishes(turn, turns):
+            self._is_explored = turn >= TUNING.refining_share * turns
+            is_complete = self._do_survey(cloud, positions, turn, turns)
+            # An episode at once takes the best choice so far when the exploration is over.
+            takes_plan = self._is_explored if self.at_once else is_complete
+            if takes_plan and not self._is_surveyed and self._candidates is not None:
+                self._set_plan(positions)
+                self._is_surveyed = is_complete
             # The refinement begins as soon as the last part of the survey is done.
-            if self._is_surveyed or self._do_survey(cloud, positions, turn, turns):
+            if self._is_surveyed:
                 self._refine(cloud, positions, turn, turns)
             return
         if (self._candidates is None or not pipelined
@@ -138,7 +153,11 @@ class Lookahead(PipelinedPlanner):
             self._create_candidates(cloud, positions, turn, turns)
         # In a pipelined episode, the greedy choice suffices for the first turn.
         if not (pipelined and self._waits_for_plan(turns, len(positions))):
-            (self._choice,) = self._candidates.anneal(self._choice, self.rng)
+            for choice in self._candidates.anneal(self._choice, self.rng,
+                                                  TUNING.parts if self.at_once else 1):
+                self._choice = choice
+                if self.interrupted():
+                    break
         self._set_plan(positions)
 
     def _record(self, positions: np.ndarray) -> None:
@@ -147,10 +166,14 @@ class Lookahead(PipelinedPlanner):
         self.places.add(positions, self.rig_state)
 
     def _finishes(self, turn: int, turns: int) -> bool:
-        """Return whether the exploration is over in a turn."""
-        # In a pipelined episode, the survey begins some turns earlier: True counts as 1.
-        return (turn >= TUNING.refining_share * turns
-                - TUNING.survey_turns * self._ahead(turns))
+        """Return whether the survey has begun in a turn."""
+        # In an episode that plans ahead, the survey begins some turns before the exploration ends.
+        lead = TUNING.survey_turns if self._is_paced(turns) else TUNING.lead_turns * self.at_once
+        return turn >= TUNING.refining_share * turns - lead
+
+    def _is_paced(self, turns: int) -> bool:
+        """Return whether an episode is pipelined, with a fixed amount of work in each turn."""
+        return self.plans_ahead(turns) and not self.at_once
 
     def _create_candidates(self, cloud: np.ndarray, positions: np.ndarray, turn: int,
                            turns: int) -> None:
@@ -170,7 +193,8 @@ class Lookahead(PipelinedPlanner):
 
         :param weight: bonus for each covered cell of ``unseen`` (packed bits), metres.
         :param plans: placements (K, 6), metres and radians; the list may be empty. A greedy plan
-            is compared only if there is no current plan.
+            is compared only if there is no current plan; in an episode at once only if ``plans``
+            is empty, because it takes longer than all else.
         :param cameras: K, the number of movable cameras, which an empty list does not show.
         """
         count = int(np.clip(space.area / TUNING.spacing_m ** 2, 4, TUNING.max_positions))
@@ -181,7 +205,7 @@ class Lookahead(PipelinedPlanner):
         self._candidates = Candidates(model, positions, plans, state, unseen, weight)
         # The poses of the plans are the first candidates.
         choices = np.arange(len(plans) * cameras).reshape(-1, cameras).tolist()
-        if not self._has_plan(cameras):
+        if not (choices if self.at_once else self._has_plan(cameras)):
             choices.append(self._candidates.choose_greedily())
         self._choice = min(choices, key=self._candidates.value)
 
@@ -203,8 +227,8 @@ class Lookahead(PipelinedPlanner):
         if (turn - self._model_turn >= TUNING.refining_turns
                 and not self._kept_model.lasts(cloud, positions)):
             self._create_refining_model(cloud, positions, turn)
-        proposals = TUNING.pipelined_proposals if self._ahead(turns) else TUNING.proposals
-        if self._model_turn == turn:
+        proposals = TUNING.pipelined_proposals if self._is_paced(turns) else TUNING.proposals
+        if self._model_turn == turn and not self.at_once:
             proposals = TUNING.model_turn_proposals
         # The survey has created the first model.
         model, self._space = self._kept_model.made
@@ -229,7 +253,7 @@ class Lookahead(PipelinedPlanner):
 
     def _do_survey(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> bool:
         """
-        Do a part of the survey, or all of it if the turn waits for its plan.
+        Do a part of the survey; all of it if the turn waits for its plan, or if there is time.
 
         :returns: whether the survey is complete.
         """
@@ -238,10 +262,9 @@ class Lookahead(PipelinedPlanner):
             self._remaining_survey = self._survey(cloud, positions, turn, turns)
         # Each item is a part that was just done, see :meth:`_survey`.
         for _ in self._remaining_survey:
-            if not self._waits_for_plan(turns, len(positions)):
+            if self.interrupted() if self.at_once else (
+                    not self._waits_for_plan(turns, len(positions))):
                 return False
-        self._set_plan(positions)
-        self._is_surveyed = True
         return True
 
     def _survey(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int
@@ -262,9 +285,14 @@ class Lookahead(PipelinedPlanner):
         self._choose_plan(model, space, self.memory.unseen(model), 0.0,
                           [*self._current_plans(len(positions)), best], len(positions))
         yield
-        for choice in self._candidates.anneal(self._choice, self.rng, parts=2):
-            self._choice = choice
-            yield
+        runs, parts = (TUNING.survey_runs, TUNING.parts) if self.at_once else (1, 2)
+        for _ in range(runs):
+            for choice in self._candidates.anneal(self._choice, self.rng, parts):
+                self._choice = choice
+                yield
+            # Now a refinement is worth more than another run.
+            if self._is_explored:
+                break
 
     def _planned_headings(self) -> np.ndarray | None:
         """

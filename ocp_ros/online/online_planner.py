@@ -86,12 +86,17 @@ class Online(ABC):
     :ivar targets: (K, 2) metres, final positions of K movable cameras in the plan; None before
         the first turn and for planners without such a plan.
     :ivar headings: (K, 3) radians, headings in the plan; None if a plan has positions alone.
-    :ivar interrupted: a function that :meth:`plan_ahead` calls. It returns whether to stop and use
-        the best plan so far, because the next turn waits for the plan.
+    :ivar interrupted: a function that :meth:`move` and :meth:`plan_ahead` call. It returns whether
+        to stop and use the best plan so far, because a command waits for the plan.
+    :ivar at_once: whether a command may not wait for a plan on the newest cloud, as with real
+        cameras: then the planner plans while the cameras move in an episode of any length, and as
+        much as there is time for. Otherwise the work for each turn is fixed, so that commands do
+        not depend on the speed of the machine.
     :ivar rig_state: camera models and headings; None if all cameras are omnidirectional.
     """
 
     interrupted: Callable[[], bool] = staticmethod(never_interrupted)
+    at_once = False
     targets: np.ndarray | None = None
     headings: np.ndarray | None = None
 
@@ -125,6 +130,10 @@ class Online(ABC):
         :param turns: turns of the whole episode.
         :returns: (K, 2) metres, horizontal moves, none longer than ``max_step``.
         """
+
+    def plans_ahead(self, turns: int) -> bool:
+        """Return whether an episode of ``turns`` turns plans while the cameras move."""
+        return self.at_once or turns >= MIN_PIPELINED_TURNS
 
     def plan_ahead(self) -> None:  # noqa: B027
         """
@@ -185,7 +194,7 @@ class PlannedTurn(NamedTuple):
 
 class PipelinedPlanner(Online):
     """
-    A planner that computes its plan while the cameras move, in an episode of many turns.
+    A planner that computes its plan while the cameras move, see :meth:`Online.plans_ahead`.
 
     Such a plan uses the cloud before the move, and the next turn does not wait for it. The
     first turn has no plan in advance, so it waits for its plan.
@@ -215,13 +224,9 @@ class PipelinedPlanner(Online):
             return super().goals(positions)
         return self._space.on_way(positions[:, :2], self.targets, self.max_step)
 
-    def _ahead(self, turns: int) -> bool:
-        """Return whether an episode of ``turns`` turns plans while the cameras move."""
-        return turns >= MIN_PIPELINED_TURNS
-
     def _waits_for_plan(self, turns: int, cameras: int) -> bool:
         """Return whether the present turn waits for a plan on the newest cloud."""
-        return not (self._ahead(turns) and self._has_plan(cameras))
+        return not (self.plans_ahead(turns) and self._has_plan(cameras))
 
     def _has_plan(self, cameras: int) -> bool:
         """Return whether there is a plan for this number of cameras."""

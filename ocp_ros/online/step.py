@@ -27,7 +27,7 @@ import time
 import numpy as np
 from ocp_ros.online.constraint_filter import StepConstraints
 from ocp_ros.online.heading_planner import HeadingPlanner, never_interrupted
-from ocp_ros.online.online_planner import MIN_PIPELINED_TURNS, Online, PlannedTurn
+from ocp_ros.online.online_planner import Online, PlannedTurn
 from ocp_ros.online.rig_state import Command, RigState
 from ocp_ros.rig.motion import turned_towards
 from ocp_ros.rig.rig_file import Rig
@@ -44,14 +44,16 @@ class OnlineStep:
     :param rig: the rig with its constraints; None without constraints.
     :param report: called with a message after an error; the cameras then keep their poses. None to
         raise the error.
+    :param at_once: see :class:`~ocp_ros.online.online_planner.Online`; it holds for each planner.
     :ivar constraints: correct the moves of the planner.
     :ivar aim: chooses the headings where the planner has none; None if no camera has a heading to
         choose.
     """
 
     def __init__(self, planner: Online, limits: EpisodeLimits, rig: Rig | None = None,
-                 report: Callable[[str], None] | None = None) -> None:
+                 report: Callable[[str], None] | None = None, at_once: bool = False) -> None:
         self.planner, self.limits = planner, limits
+        self.planner.at_once = self._at_once = at_once
         self._report = report
         # A free rig has no constraints and no headings to choose.
         self.rig = rig = None if rig is None or rig.free else rig
@@ -65,6 +67,7 @@ class OnlineStep:
         if self.limits.wall_margin != limits.wall_margin:
             self.aim = HeadingPlanner.of(self.rig, limits.wall_margin)
         self.planner, self.limits = planner, limits
+        self.planner.at_once = self._at_once
         self.constraints.set_limits(limits)
 
     def reset(self) -> None:
@@ -75,7 +78,8 @@ class OnlineStep:
         if self.aim is not None:
             self.aim.reset()
 
-    def __call__(self, cloud: np.ndarray, state: RigState, turn: int, turns: int) -> Command:
+    def __call__(self, cloud: np.ndarray, state: RigState, turn: int, turns: int,
+                 interrupted: Callable[[], bool] = never_interrupted) -> Command:
         """
         Return the command for the next turn.
 
@@ -83,17 +87,19 @@ class OnlineStep:
         :param state: current state of the cameras.
         :param turn: turns taken so far.
         :param turns: turns of the whole episode.
+        :param interrupted: as for :meth:`plan_ahead`.
         """
         # No effect if the caller did this while the cameras moved.
-        self.plan_ahead()
-        moves = self.plan(cloud, state, turn, turns)
+        self.plan_ahead(interrupted)
+        with self._interrupted_by(interrupted):
+            moves = self.plan(cloud, state, turn, turns)
         placement = state.placement.copy()
         targets, held = self.constraints(cloud, state, moves)
         placement[:state.movable, :3] = targets
-        headings = self._choose_headings(cloud, state, placement[:, :3], turn, turns)
+        headings = self._choose_headings(cloud, state, placement[:, :3], turn, turns, interrupted)
         for camera, heading in headings.items():
             placement[camera, 3:] = heading
-        can_prepare = turns >= MIN_PIPELINED_TURNS and turn + 1 < turns
+        can_prepare = self.planner.plans_ahead(turns) and turn + 1 < turns
         if can_prepare and len(cloud) and self.rig is not None:
             self._next_turn = PlannedTurn(cloud.copy(), placement[:state.movable, :3], turn + 1,
                                           turns, state._replace(placement=placement))
@@ -121,10 +127,8 @@ class OnlineStep:
         :param interrupted: called often; returns whether to stop and use the best results so far,
             because the next turn waits for them.
         """
-        self.planner.interrupted = interrupted
-        with self._report_errors('planner', 'where they are'):
+        with self._interrupted_by(interrupted), self._report_errors('planner', 'where they are'):
             self.planner.plan_ahead()
-        self.planner.interrupted = never_interrupted
         if self._next_turn is None:
             return
         cloud, positions, turn, turns, state = self._next_turn
@@ -139,7 +143,7 @@ class OnlineStep:
             self.aim.think(cloud, state, targets, self.limits.max_turn, turn, turns, interrupted)
 
     def _choose_headings(self, cloud: np.ndarray, state: RigState, targets: np.ndarray, turn: int,
-                         turns: int) -> dict[int, np.ndarray]:
+                         turns: int, interrupted: Callable[[], bool]) -> dict[int, np.ndarray]:
         """Return the next headings (3,), radians, by the numbers of the cameras that rotate."""
         if self.aim is None or not self.limits.max_turn:
             return {}
@@ -149,10 +153,18 @@ class OnlineStep:
                 state.placement[:state.movable, 3:], planned, self.limits.max_turn)
             return {camera: headings[camera] for camera in self.aim.aimed}
         with self._report_errors('aiming', 'turned as they are'):
-            headings = self.aim(cloud, state, targets, self.limits.max_turn, turn, turns)
+            headings = self.aim(cloud, state, targets, self.limits.max_turn, turn, turns,
+                                interrupted)
             return {camera: headings[camera] for camera in self.aim.aimed}
         # Reached only after a reported error.
         return {}
+
+    @contextmanager
+    def _interrupted_by(self, interrupted: Callable[[], bool]) -> Iterator[None]:
+        """Let the planner stop in the block as soon as a function returns True."""
+        self.planner.interrupted = interrupted
+        yield
+        self.planner.interrupted = never_interrupted
 
     @contextmanager
     def _report_errors(self, source: str, pose: str) -> Iterator[None]:

@@ -123,18 +123,18 @@ class Learned(Lookahead):
 
     def _waits_for_plan(self, turns: int, cameras: int) -> bool:
         """Return False in a pipelined episode: until there is a plan, the explorer moves."""
-        return not self._ahead(turns)
+        return not self.plans_ahead(turns)
 
     def move(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> np.ndarray:
         """Return the next moves; see :meth:`Online.move`."""
         # Do a part of the survey here if no caller did it while the cameras moved.
         self.plan_ahead()
         if self._has_plan(len(positions)) or (
-                not self._ahead(turns) and turn >= TUNING.refining_share * turns):
+                not self.plans_ahead(turns) and turn >= TUNING.refining_share * turns):
             return super().move(cloud, positions, turn, turns)
         self._record(positions)
         moves = self.explorer.move(cloud, positions, turn, turns)
-        if self._ahead(turns) and turn + 1 < turns and self._finishes(turn + 1, turns):
+        if self.plans_ahead(turns) and turn + 1 < turns and self._finishes(turn + 1, turns):
             ends = positions + np.column_stack([moves, np.zeros(len(moves))])
             self._next_turn = PlannedTurn(cloud.copy(), ends, turn + 1, turns, self.rig_state)
         return moves

@@ -26,7 +26,6 @@ from functools import partial
 import os
 from pathlib import Path
 import sys
-import time
 from typing import TYPE_CHECKING
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -57,8 +56,6 @@ from ocp_ros.scenes.scene import SceneError
 from ocp_ros.simulation.point_maps import PointMaps
 from ocp_ros.util.resources import find_model
 from ocp_ros.util.threads import set_threads
-from rclpy.impl.implementation_singleton import rclpy_implementation
-from rclpy.node import Node
 from std_msgs.msg import UInt8MultiArray
 from std_srvs.srv import SetBool, Trigger
 
@@ -85,6 +82,7 @@ class PolicyNode(ManagedNode):
     def __init__(self, **kwargs) -> None:
         # Set before the constructor of the base class, which may configure the node.
         self._calibrator: Calibrator | None = None
+        self.decider: Decider | None = None
         self._paused = False
         super().__init__('policy_node', PolicyNodeConfig, live_defaults, **kwargs)
 
@@ -158,6 +156,8 @@ class PolicyNode(ManagedNode):
         """Drop the weights, the rig and all observations."""
         if self._calibrator is not None:
             self._calibrator.close()
+        if self.decider is not None:
+            self.decider.close()
         self.decider = self.source = self._experiences = self._calibrator = None
         self._shown_turn = None
         self._paused = False
@@ -167,12 +167,6 @@ class PolicyNode(ManagedNode):
         """Return the topics of commands and of live cameras."""
         live = self.config.live_topics
         return [topics.CAMERA_COMMANDS, *live, *map(topics.camera_info_of_image, live)]
-
-    def plan_ahead(self) -> None:
-        """Let the planner plan ahead; after two seconds, stop it once a message waits."""
-        # Planners need about a tenth of this time.
-        checked_from = time.monotonic() + 2.0
-        self.decider.step.plan_ahead(lambda: time.monotonic() > checked_from and has_message(self))
 
     @property
     def planner(self) -> Online:
@@ -372,21 +366,6 @@ class PolicyNode(ManagedNode):
             'weights_updates': 0 if checkpoint is None else checkpoint.updates,
             **self.convergence.diagnostic_values(), **self._counts, **source_values,
             **drift_values}
-
-
-def has_message(node: Node) -> bool:
-    """Return whether a message waits on a subscription of a node; do not read the message."""
-    subscriptions = list(node.subscriptions)
-    # As the executor of rclpy does it, but with subscriptions alone and without waiting. The zeros
-    # are the numbers of guard conditions, timers, clients, services and events.
-    with node.context.handle:
-        wait_set = rclpy_implementation.WaitSet(len(subscriptions), 0, 0, 0, 0, 0,
-                                                node.context.handle)
-        wait_set.clear_entities()
-        for subscription in subscriptions:
-            wait_set.add_subscription(subscription.handle)
-        wait_set.wait(0)
-        return bool(wait_set.get_ready_entities('subscription'))
 
 
 def main(args: list[str] | None = None) -> int:

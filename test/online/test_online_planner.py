@@ -157,6 +157,30 @@ def test_a_policy_explores_and_a_better_plan_follows(engine, turns):
     assert errors[-1] < trail.min() * (1.0 if turns == 3 else 0.5)
 
 
+@pytest.mark.parametrize('name', ['learned', 'lookahead'])
+def test_real_cameras_wait_for_no_plan_and_are_placed_all_the_same(engine, name):
+    """Interrupted at once, the planner does a part of its work in each turn."""
+    ends, work = [], []
+    for limit in (10 ** 6, 0):
+        asked, waits = itertools.count(), 0
+        episode, planner = episode_of(engine, 5), MADE[name](*settings())
+        step = OnlineStep(planner, episode.config, at_once=True)
+        think = planner._think
+        planner._think = lambda *turn: work.append(turn) or think(*turn)
+        while not episode.turn.truncated:
+            before, state = len(work), state_of(episode)
+            command = step(episode.observed_cloud, state, episode.turn.step, 12,
+                           lambda: next(asked) >= limit)  # noqa: B023
+            waits += len(work) > before
+            step.plan_ahead(lambda: next(asked) >= limit)  # noqa: B023
+            episode.move((command.placement - state.placement)[:, :3])
+        # Only lookahead's first turn has no plan.
+        assert waits == (name == 'lookahead')
+        ends.append(episode.turn.depth_error)
+    start = episode_of(engine, 5).turn.depth_error
+    assert ends[0] < ends[1] < 0.7 * start
+
+
 def test_a_plan_is_no_worse_than_the_places_of_the_episode_if_nothing_is_searched(
         engine, monkeypatch):
     monkeypatch.setattr(lookahead, 'TUNING', replace(

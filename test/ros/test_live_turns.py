@@ -18,6 +18,7 @@ from array import array
 from functools import partial
 from itertools import count
 import re
+import threading
 
 from benchmarks.calibration_bench import cast
 from benchmarks.drills.live_rig import BODY, CAMERAS, episode_in, MAP, OPTICAL, Rig, S
@@ -27,6 +28,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseArray
 import numpy as np
 from ocp_ros.geometry.cameras import OPTICAL_TO_BODY, Pose
+from ocp_ros.online.step import OnlineStep
 from ocp_ros.rig.placement_file import load_placement
 from ocp_ros.rooms.generator import generate_room, mesh_of, plan_of
 from ocp_ros.ros.bags.recorded_clouds import topics_of_cameras
@@ -154,6 +156,34 @@ def test_points_out_of_range_of_their_camera_and_stray_ones_are_left_out(
     assert ((away > 0.999) & (away < 2.001)).any(axis=1).all()
     assert 0 < len(found) < len(rig.episode.observed_cloud)
     assert counted(policy, 'refused_messages') == 0
+
+
+def test_a_command_goes_out_by_the_plan_so_far_while_messages_are_handled(live, monkeypatch):
+    """The planner would go on for ever; it is interrupted soon after the clouds of each turn."""
+    plan_ahead, interruptions = OnlineStep.plan_ahead, []
+
+    def plan_for_ever(step, interrupted=lambda: False):
+        plan_ahead(step, interrupted)
+        if threading.current_thread() is not threading.main_thread():
+            while not interrupted():
+                released.wait(0.001)
+            interruptions.append(counted(live.policy, 'turns_answered'))
+
+    released = threading.Event()
+    monkeypatch.setattr(OnlineStep, 'plan_ahead', plan_for_ever)
+    rig, policy = live.start(turns=5, think_seconds=0.02)
+    live.wait_for_turns(2)
+    rig.obeys = False
+    live.wait(0.5)
+    before = len(interruptions)
+    assert before >= 1 and before == counted(policy, 'turns_answered') - 1
+    rig.obeys = True
+    rig.go()
+    live.last(topics.PLACEMENT)
+    # A new placement waits for no plan of the last one.
+    policy.decider.plan_ahead()
+    policy.decider.reset()
+    assert len(interruptions) > before
 
 
 def test_one_silent_camera_does_not_stop_the_others(live, capfd):

@@ -43,14 +43,13 @@ from ocp_ros.ros.interface.conversions import (
 from ocp_ros.ros.policy.decider import make_planner
 from ocp_ros.ros.policy.policy_config import PLANNERS
 from ocp_ros.ros.policy.simulated_turns import MAX_STORED
-from ocp_ros.ros.policy_node import has_message, PolicyNode
+from ocp_ros.ros.policy_node import PolicyNode
 from ocp_ros.ros.sim_node import SimNode
 from ocp_ros.scenes.scene_files import save_scene
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.problem import PlaneProblem
 from ocp_ros.util.settings import ConfigurationError
 import pytest
-from rclpy.node import Node
 from sensor_msgs.msg import PointField
 from std_msgs.msg import Float64MultiArray, Header, UInt8MultiArray
 import torch
@@ -190,21 +189,6 @@ def test_turns_that_cannot_be_used_are_refused_and_the_next_ones_are_answered(ro
         robot.play_turns(10 * stamp + 1)
     assert {stamp_to_ns(command.header.stamp) % 10
             for command in robot.received[topics.CAMERA_COMMANDS]} == {1}
-
-
-def test_a_message_that_waits_is_noticed_and_not_taken(graph, probe):
-    heard = []
-    listener = Node('listener', context=graph.context)
-    listener.create_subscription(PoseArray, 'news', heard.append, qos.LOOP)
-    publisher = probe.publisher(PoseArray, 'news', qos.LOOP)
-    assert not has_message(listener)
-    publisher.publish(PoseArray())
-    graph.until(lambda: has_message(listener))
-    assert has_message(listener) and not heard
-    graph.executor.add_node(listener)
-    graph.until(lambda: heard)
-    assert not has_message(listener)
-    listener.destroy_node()
 
 
 def test_the_placement_is_final_and_held_when_the_turns_are_used_up(robot):

@@ -18,6 +18,9 @@ Decision of a turn in ``policy_node``: messages to a rig state, one planner step
 PyTorch is imported only where a policy is made: its import takes longer than all others together.
 """
 
+from concurrent.futures import Future, ThreadPoolExecutor
+import math
+import time
 from typing import TYPE_CHECKING
 
 from geometry_msgs.msg import PoseArray
@@ -25,6 +28,7 @@ import numpy as np
 from ocp_ros.geometry.cameras import CameraModel, heading_of, Pose
 from ocp_ros.geometry.clouds import corners_of
 from ocp_ros.online.expected_gain import ExpectedGain
+from ocp_ros.online.heading_planner import never_interrupted
 from ocp_ros.online.lookahead import Lookahead
 from ocp_ros.online.online_planner import Online
 from ocp_ros.online.rig_state import RigState
@@ -45,6 +49,9 @@ from rclpy.impl.rcutils_logger import RcutilsLogger
 if TYPE_CHECKING:
     from ocp_ros.policy.checkpoint import Checkpoint
 
+#: Longest time that a turn of a simulation waits for a plan made meanwhile, seconds; planners need
+#: about a tenth of it.
+PATIENCE_S = 2.0
 #: Parameters that the constructor of a planner takes, and that may change at run time.
 PLANNER_PARAMETERS = ('max_step', 'max_range', 'wall_margin', 'clearance')
 
@@ -82,6 +89,9 @@ class Decider:
     """
     Ask a planner for the next camera poses, within the observed floor and the rig's constraints.
 
+    While the cameras move, the planner plans ahead in a thread of its own. All methods that use
+    the planner end this first.
+
     :param config: parameters of the node.
     :param checkpoint: weights of the policy; None if no policy is used.
     :param log: log of the node.
@@ -98,16 +108,47 @@ class Decider:
         self._log = log
         self.rig = load_rig(config.rig_file) if config.rig_file else None
         planner, self.explorer = make_planner(config, checkpoint, self.rig)
+        # Real cameras get a command within ``think_seconds``, if that is limited.
+        at_once = bool(config.live_topics) and config.think_seconds > 0.0
         # An error in a step is logged and must not end this node.
-        self.step = OnlineStep(planner, config, self.rig, log.error)
+        self.step = OnlineStep(planner, config, self.rig, log.error, at_once)
         self.stay_warnings: list[str] = []
+        self._thread = ThreadPoolExecutor(1, 'planner')
+        #: The plan that is being made while the cameras move; None if there is none.
+        self._plan: Future[None] | None = None
+        #: Time on the steady clock at which planning stops, seconds.
+        self._deadline = math.inf
 
     def reset(self) -> None:
         """Drop the data of the last episode."""
+        self._end_planning()
         self.step.reset()
+
+    def close(self) -> None:
+        """End the planner."""
+        self._end_planning()
+        self._thread.shutdown()
+
+    def plan_ahead(self) -> None:
+        """Plan the next turn while the cameras move."""
+        if self._plan is None:
+            self._deadline = math.inf
+            self._plan = self._thread.submit(self.step.plan_ahead, self._must_stop)
+
+    def _must_stop(self) -> bool:
+        """Return whether the planner has to stop and use the best plan so far."""
+        return time.monotonic() > self._deadline
+
+    def _end_planning(self, seconds: float = 0.0) -> None:
+        """Let the planner plan ahead for at most some more seconds, and wait until it ends."""
+        self._deadline = time.monotonic() + seconds
+        if self._plan is not None:
+            plan, self._plan = self._plan, None
+            plan.result()
 
     def apply_config(self, config: PolicyNodeConfig) -> None:
         """Continue with new parameters; make a new planner if the present one does not suit."""
+        self._end_planning()
         planner = self.step.planner
         if any(getattr(self._config, name) != getattr(config, name)
                for name in PLANNER_PARAMETERS):
@@ -226,9 +267,12 @@ class Decider:
         :returns: a pose for each of ``poses``.
         """
         state = self.state(poses)
+        at_once = self.step.planner.at_once
+        self._end_planning(self._config.think_seconds if at_once else PATIENCE_S)
         # The parameter ``turns`` may have been lowered below the number of turns played.
         turns = self._config.turns
-        command = self.step(cloud, state, min(turn, turns), turns)
+        command = self.step(cloud, state, min(turn, turns), turns,
+                            self._must_stop if at_once else never_interrupted)
         self.stay_warnings = command.held
         if self.stay_warnings:
             self._log.warning('; '.join(self.stay_warnings), throttle_duration_sec=5.0)
@@ -246,5 +290,6 @@ class Decider:
 
     def plan(self, cloud: np.ndarray, poses: PoseArray, turn: int) -> None:
         """Let the planner choose moves that are not executed: a recording policy records them."""
+        self._end_planning()
         turns = self._config.turns
         self.step.plan(cloud, self.state(poses), min(turn, turns), turns)

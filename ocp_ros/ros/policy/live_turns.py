@@ -318,7 +318,7 @@ class LiveTurns(TurnSource):
         # Turns of a final placement last longer.
         if self._is_final:
             self._turns.limits = self._wait_limits()
-        self._node.plan_ahead()
+        self._node.decider.plan_ahead()
 
     def _send_command(self, poses: PoseArray) -> None:
         """Send the command of this turn, and begin to wait for the cameras, now at ``poses``."""

@@ -31,7 +31,7 @@ PLANNERS = ('learned', 'lookahead')
 #: Defaults with live cameras: each turn waits for cameras and clouds.
 LIVE_DEFAULTS = {'turns': 12, 'max_step': 1.5, 'max_turn': 1.6}
 #: Defaults if ``manual`` is true: few turns with long moves, as each turn is work for a person.
-MANUAL_DEFAULTS = {'turns': 5, 'max_step': 2.0, 'max_turn': 1.6}
+MANUAL_DEFAULTS = {'turns': 5, 'max_step': 2.0, 'max_turn': 1.6, 'think_seconds': 0.0}
 
 
 def live_defaults(given: dict[str, Any]) -> dict[str, Any]:
@@ -103,6 +103,10 @@ class PolicyNodeConfig(EpisodeLimits):
                                    'cameras, seconds', 0.1, 3600.0, running=True)
     turn_seconds: float = setting(0.0, 'live: shortest duration of a turn, seconds; it limits the '
                                   'speed to max_step / turn_seconds', 0.0, 3600.0, running=True)
+    think_seconds: float = setting(
+        0.3, 'live: longest time from the last cloud of a turn until the command goes out by the '
+        'plan so far, which is improved while the cameras move, seconds; 0: no limit, the default '
+        'if a person moves the cameras', 0.0, 3600.0)
     publish_tf: bool = publish_tf()
     frame_prefix: str = frame_prefix()
     autostart: bool = autostart()

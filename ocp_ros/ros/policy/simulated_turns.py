@@ -132,7 +132,7 @@ class SimulatedTurns(TurnSource):
                 self._node.refuse(error)
                 return
         self._node.commander.publish(self.answer)
-        self._node.plan_ahead()
+        self._node.decider.plan_ahead()
 
     def _update_wait_for_reward(self, stamp: int) -> bool:
         """Start or stop the wait for the reward of a turn; return whether to wait."""

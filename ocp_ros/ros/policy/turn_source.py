@@ -127,8 +127,8 @@ class TurnSource:
     """
     A source of turns: live cameras or a simulation.
 
-    It calls the methods ``decide``, ``refuse`` and ``plan_ahead`` of the node, and publishes the
-    commands with the node's ``commander``.
+    It calls the methods ``decide`` and ``refuse`` of the node, and ``plan_ahead`` of its decider,
+    and publishes the commands with the node's ``commander``.
 
     :param node: gets the subscriptions and timers, and answers the turns.
     """
