@@ -47,15 +47,19 @@ setup(
     ],
     package_data={NAME: ['report/*.json', 'report/templates/*']},
     zip_safe=True,
+    # What the nodes need: all of it are packages of Ubuntu, whose rosdep keys package.xml names.
     install_requires=[
-        'setuptools', 'numpy>=1.26', 'numba', 'scipy', 'torch', 'safetensors', 'gymnasium', 'cma',
-        'highspy', 'stable-baselines3', 'tensorboard', 'open3d', 'plyfile', 'laspy[lazrs]',
-        'pye57', 'matplotlib', 'plotly', 'rich', 'rosbags', 'pyyaml', 'jsonschema',
-        'pillow'],
-    extras_require={'test': ['pytest', 'pytest-timeout', 'hypothesis'], 'ray': ['ray'],
-                    'studio': ['viser==1.1.1'],
-                    'buildings': ['ezdxf==1.4.5', 'ifcopenshell==0.9.0.post1',
-                                  'usd-core==26.11']},
+        'setuptools', 'numpy>=1.26', 'numba', 'scipy', 'torch', 'pyyaml', 'jsonschema',
+        'matplotlib', 'rich', 'pillow'],
+    # What the programs beside them need; ocp_ros.util.settings names the extra if it is missing.
+    extras_require={
+        'plan': ['cma', 'highspy', 'plotly'],
+        'files': ['laspy[lazrs]', 'open3d', 'plyfile', 'pye57', 'rosbags'],
+        'train': ['gymnasium', 'stable-baselines3', 'tensorboard'],
+        'studio': ['viser==1.1.1'],
+        'buildings': ['ezdxf==1.4.5', 'ifcopenshell==0.9.0.post1', 'usd-core==26.11'],
+        'ray': ['ray'],
+        'test': ['pytest', 'pytest-timeout', 'hypothesis', 'safetensors']},
     entry_points={
         'console_scripts': [
             'sim_node = ocp_ros.ros.start:sim_node',

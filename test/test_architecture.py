@@ -22,6 +22,9 @@ import xml.etree.ElementTree as ElementTree
 
 from conftest import ROOT
 import ocp_ros
+from ocp_ros.util.settings import ConfigurationError, EXTRAS, need
+import pytest
+import yaml
 
 PACKAGE = ROOT / 'ocp_ros'
 #: Each layer may import itself, those before it and the modules that stand beside the layers.
@@ -97,6 +100,39 @@ def test_package_xml_lists_every_ros_package_that_nodes_import():
     assert {name for name in used if name in ros or name.endswith(('_msgs', '_interfaces'))
             or name == 'std_srvs'} <= listed
     assert package.find('export/build_type').text == 'ament_python'
+
+
+def setup_arguments():
+    """Return the keyword arguments of ``setup`` that are plain data."""
+    (call,) = (node for node in ast.walk(ast.parse((ROOT / 'setup.py').read_text()))
+               if isinstance(node, ast.Call) and getattr(node.func, 'id', '') == 'setup')
+    return {item.arg: ast.literal_eval(item.value) for item in call.keywords
+            if item.arg in ('install_requires', 'extras_require')}
+
+
+def test_all_that_nodes_need_are_packages_of_ubuntu():
+    package = ElementTree.parse(ROOT / 'package.xml').getroot()
+    listed = {item.text for kind in ('exec_depend', 'test_depend') for item in package.iter(kind)}
+    known = yaml.safe_load((ROOT / 'requirements' / 'rosdep.yaml').read_text())
+    # Whoever adds a key looks it up, see the head of that file.
+    assert listed == known.keys()
+    assert {key for key in listed if key.endswith('-pip')} == set()
+    needed = {re.split('[<>=]', name)[0] for name in setup_arguments()['install_requires']}
+    names = {'pillow': 'pil', 'pyyaml': 'yaml'}
+    assert {f'python3-{names.get(name, name)}' for name in needed - {'setuptools'}} <= listed
+
+
+def test_an_extra_is_named_for_every_package_that_is_missing(monkeypatch):
+    extras = setup_arguments()['extras_require']
+    for extra, packages in EXTRAS.items():
+        # The package of usd-core is pxr.
+        installed = ' '.join(extras[extra]).replace('-', '_').replace('usd_core', 'pxr')
+        for package in packages:
+            assert re.search(rf'\b{package}\b', installed), package
+            monkeypatch.setitem(sys.modules, package, None)
+            with pytest.raises(ConfigurationError, match=rf'no package {package}.*\[{extra}]'):
+                need('ocp plan', package)
+    need('ocp plan', 'numpy')
 
 
 def test_every_entry_point_exists():

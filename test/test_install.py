@@ -124,6 +124,38 @@ def test_nodes_of_the_wheel_play_and_end(installed, elsewhere, domain, name, how
         node.wait()
 
 
+ALONE = """
+import sys
+from ocp_ros.util.settings import EXTRAS
+sys.modules.update(dict.fromkeys([*sum(EXTRAS.values(), ()), 'safetensors']))
+import rclpy
+from ocp_ros.ros.policy_node import PolicyNode
+from ocp_ros.ros.sim_node import SimNode
+from rclpy.parameter import Parameter
+rclpy.init()
+nodes = [SimNode(parameter_overrides=[Parameter('scene.points', value=2000)]), PolicyNode()]
+executor = rclpy.executors.SingleThreadedExecutor()
+for node in nodes:
+    executor.add_node(node)
+while nodes[1].convergence.step < 2:
+    executor.spin_once(timeout_sec=0.1)
+from ocp_ros.ros import start
+start.guide_node()
+"""
+
+
+def test_nodes_play_with_nothing_but_packages_of_ubuntu(elsewhere, domain):
+    pytest.importorskip('rclpy', reason='nodes need ROS 2 (rclpy)')
+    done = subprocess.run(
+        [sys.executable, '-c', ALONE], capture_output=True, text=True, timeout=HUNG, check=False,
+        env={**os.environ, 'ROS_DOMAIN_ID': str(domain), 'PYTHONPATH': str(ROOT)})
+    # The guide needs more, and says what.
+    assert done.returncode == 2, done.stderr
+    assert done.stderr.splitlines()[-1] == (
+        'guide_node: found no package viser; expected it; install it by pip install '
+        '"ocp_ros[studio]"')
+
+
 @pytest.mark.system
 def test_the_layout_is_that_of_ros(installed):
     share = installed / 'share'

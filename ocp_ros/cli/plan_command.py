@@ -43,7 +43,7 @@ from ocp_ros.cli.arguments import (
 )
 from ocp_ros.cli.common import claim_folder, command_of, Commands, Found, PLAN, show_written
 from ocp_ros.util.resources import find_config
-from ocp_ros.util.settings import ConfigurationError
+from ocp_ros.util.settings import ConfigurationError, need
 from ocp_ros.util.terminal_text import printable
 
 if TYPE_CHECKING:
@@ -98,6 +98,7 @@ def add_arguments(commands: Commands) -> None:
 
 def run(arguments: argparse.Namespace) -> Found:
     """Plan a rig in a room, write the placement in all file formats and return the data."""
+    need('ocp plan', 'plotly', 'highspy')
     from ocp_ros.formats.exported import Exported
     from ocp_ros.formats.exports import export, formats_named, MARK, REPORTS, WRITTEN
     from ocp_ros.report.rig_planning import PlannedRig

@@ -28,6 +28,7 @@ from ocp_ros.cli.arguments import (
     room_and_placement,
 )
 from ocp_ros.cli.common import claim_folder, command_of, Commands, Found, JUDGE, show_written
+from ocp_ros.util.settings import need
 
 
 def add_arguments(commands: Commands) -> None:
@@ -54,6 +55,7 @@ def run(arguments: argparse.Namespace) -> Found:
     from ocp_ros.util.files import file_set, folder_to_write
     formats = formats_named(arguments.export, '--export')
     if arguments.out:
+        need('ocp score --out', 'plotly')
         claim_folder(arguments, arguments.out, WRITTEN, MARK)
     scene, placement, room = room_and_placement(arguments)
     folder = arguments.out and folder_to_write(arguments.out)

@@ -28,7 +28,7 @@ from ocp_ros.cli.arguments import (
 from ocp_ros.cli.common import command_of, Commands, Found, LOOK
 from ocp_ros.studio import FIRST_PORT, LOCAL_ADDRESS
 from ocp_ros.util.resources import find_config
-from ocp_ros.util.settings import ConfigurationError
+from ocp_ros.util.settings import need
 
 
 def add_arguments(commands: Commands) -> None:
@@ -59,16 +59,11 @@ def run(arguments: argparse.Namespace) -> Found:
     """Serve the page until Ctrl-C; return an empty result."""
     from ocp_ros.report.rig_planning import CAMERAS, MOUNT
     from ocp_ros.rig.rig_file import load_rig, rig_of
-    try:
-        from ocp_ros.studio.page import Page
-        from ocp_ros.studio.server import start_server
-    except ModuleNotFoundError as error:
-        if error.name != 'viser':
-            raise
-        raise ConfigurationError('ocp studio: found no viser; expected it; install it by '
-                                 'pip install "ocp_ros[studio]"') from error
+    need('ocp studio', 'viser')
     from ocp_ros.studio.folder import Folder
     from ocp_ros.studio.model import Studio
+    from ocp_ros.studio.page import Page
+    from ocp_ros.studio.server import start_server
     if arguments.placement:
         scene, placement, room = room_and_placement(arguments)
         studio = Studio(scene, room, placement.rig_in(scene), placement.poses, placement.engine,

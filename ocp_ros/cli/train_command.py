@@ -23,6 +23,7 @@ from ocp_ros.cli.arguments import add_overwrite, read_seed
 from ocp_ros.cli.common import claim_file, Commands, Found, LEARN, show_written
 from ocp_ros.util.files import folder_to_write
 from ocp_ros.util.resources import find_config
+from ocp_ros.util.settings import need
 from ocp_ros.util.terminal_text import printable
 
 
@@ -43,6 +44,7 @@ def add_arguments(commands: Commands) -> None:
 
 def run(arguments: argparse.Namespace) -> Found:
     """Train a policy, and return its results in the test rooms."""
+    need('ocp train', 'stable_baselines3', 'gymnasium', 'tensorboard')
     # ocp_ros.training sets a variable that torch reads when it is imported, so ``checkpoint``,
     # which imports torch, comes later.
     from ocp_ros.training.run_folder import read_config

@@ -29,7 +29,7 @@ from ocp_ros.cli.arguments import (
     room_asked,
 )
 from ocp_ros.cli.common import claim_file, command_of, Commands, Found, LOOK, show_written
-from ocp_ros.util.settings import ConfigurationError
+from ocp_ros.util.settings import ConfigurationError, need
 from ocp_ros.util.terminal_text import printable
 
 
@@ -49,6 +49,7 @@ def add_arguments(commands: Commands) -> None:
 
 def run(arguments: argparse.Namespace) -> Found:
     """Write the page, and open it with ``--open``."""
+    need('ocp view', 'plotly')
     from ocp_ros.report.assessment import assess
     from ocp_ros.report.viewer import write_view
     claim_file(arguments, arguments.out, 'a page')

@@ -16,7 +16,6 @@
 
 from collections.abc import Callable, Collection, Iterable
 import csv
-from importlib.util import find_spec
 import io
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -31,7 +30,7 @@ from ocp_ros.formats.scene_models import gltf_of, usd_of
 from ocp_ros.report.installer_page import installer_page
 from ocp_ros.rig.placement_file import numbers_of, save_placement
 from ocp_ros.util.files import write_atomically
-from ocp_ros.util.settings import check_known, ConfigurationError
+from ocp_ros.util.settings import check_known, ConfigurationError, need
 
 #: Placement files, which can be read again.
 PLACEMENT_FILES = ('placement.yaml', 'placement.json')
@@ -159,9 +158,8 @@ def formats_named(names: Collection[str], option: str) -> list[str]:
     full = [one for name in names for one in (DEFAULT if name == 'default' else [name])]
     for name in full:
         library = FORMATS[name].library
-        if library and find_spec(library) is None:
-            raise ConfigurationError(f'{option} {name}: found no {library}; expected it; install '
-                                     'it by pip install "ocp_ros[buildings]"')
+        if library:
+            need(f'{option} {name}', library)
     return list(dict.fromkeys(['placement', *full]))
 
 

@@ -20,9 +20,9 @@ sizes), their version (updates so far) and their provenance.
 """
 
 from dataclasses import dataclass, field
+import io
 import json
 from pathlib import Path
-import struct
 from typing import Any
 
 from ocp_ros.policy.agent_config import AgentConfig, CheckpointError
@@ -30,8 +30,7 @@ from ocp_ros.policy.cloud_encoder import LENGTH_SCALE
 from ocp_ros.policy.networks import Actor
 from ocp_ros.util.files import MAX_BYTES, read_regular, write_atomically
 from ocp_ros.util.settings import from_nested, to_nested
-from safetensors import SafetensorError
-import safetensors.torch
+from ocp_ros.util.tensor_blob import read_blob, write_blob
 import torch
 
 #: Format of the card, and its key in the metadata of a safetensors file.
@@ -98,8 +97,11 @@ class Checkpoint:
 
     def to_bytes(self) -> bytes:
         """Return the checkpoint as one safetensors blob, with the card in its metadata."""
-        tensors = {name: value.detach().cpu().contiguous() for name, value in self.weights.items()}
-        return safetensors.torch.save(tensors, metadata={METADATA_KEY: json.dumps(self.card())})
+        blob = io.BytesIO()
+        write_blob(blob, {name: value.detach().cpu().numpy()
+                          for name, value in self.weights.items()},
+                   {METADATA_KEY: json.dumps(self.card())})
+        return blob.getvalue()
 
     def card(self) -> dict[str, Any]:
         """Return the card: everything except the weights, as plain data."""
@@ -143,7 +145,8 @@ class Checkpoint:
             weights that are not finite or exceed ``MAX_WEIGHT``.
         """
         try:
-            card = json.loads(read_metadata(blob)[METADATA_KEY])
+            arrays, metadata = read_blob(blob)
+            card = json.loads(metadata[METADATA_KEY])
             if card['format'] != FORMAT:
                 raise ValueError(f'its format is {card["format"]!r}, not {FORMAT!r}')
             # Older cards have the unit of length, which was a setting; another unit is unknown.
@@ -158,8 +161,9 @@ class Checkpoint:
                     or not isinstance(run, str) or len(run) > 100):
                 raise ValueError(f'its updates are {updates!r} and its run is {str(run)[:50]!r}')
             provenance = dict(card['provenance'])
-            weights = safetensors.torch.load(bytes(blob))
-        except (SafetensorError, KeyError, TypeError, ValueError, AttributeError, ArithmeticError,
+            # The copies may be written to, as PyTorch expects.
+            weights = {name: torch.from_numpy(array.copy()) for name, array in arrays.items()}
+        except (KeyError, TypeError, ValueError, AttributeError, ArithmeticError,
                 RecursionError) as error:
             raise CheckpointError(
                 f'{source}: found no readable checkpoint ({type(error).__name__}: {error}); '
@@ -199,18 +203,3 @@ class Checkpoint:
 def card_of(path: Path) -> Path:
     """Return the path of the card that belongs to a weights file."""
     return Path(path).with_suffix('.json')
-
-
-def read_metadata(blob: bytes) -> dict[str, str]:
-    """
-    Return the metadata of a safetensors blob.
-
-    :param blob: the length of the header as uint64, the header as JSON, then the tensors.
-    :raises ValueError: if the blob is shorter than its header.
-    """
-    size = 8  # Bytes of the length.
-    # A blob shorter than the length is padded here, and rejected below: its rest is below 0.
-    (length,) = struct.unpack('<Q', blob[:size].ljust(size, b'\0'))
-    if length > len(blob) - size:
-        raise ValueError(f'{len(blob)} bytes are too few for a header of {length}')
-    return json.loads(blob[size:size + length])['__metadata__']

@@ -29,6 +29,12 @@ import signal
 import sys
 from typing import NoReturn
 
+from ocp_ros.util.settings import ConfigurationError, need
+
+#: Packages of extras that a node needs.
+NEEDED = {'trainer_node': ('stable_baselines3', 'gymnasium', 'tensorboard'),
+          'guide_node': ('viser',)}
+
 
 def _run_and_exit(module_name: str) -> NoReturn:
     """Import a module of this package, run its node, and end the process with its exit code."""
@@ -37,7 +43,12 @@ def _run_and_exit(module_name: str) -> NoReturn:
         # handler that raises an error does not suffice: some libraries catch all errors of their
         # imports.
         signal.signal(signal_number, lambda *_: os._exit(0))
-    exit_code = import_module(f'ocp_ros.ros.{module_name}').main()
+    try:
+        need(module_name, *NEEDED.get(module_name, ()))
+        exit_code = import_module(f'ocp_ros.ros.{module_name}').main()
+    except ConfigurationError as error:
+        print(error, file=sys.stderr)
+        exit_code = 2
     logging.shutdown()
     for stream in (sys.stdout, sys.stderr):
         stream.flush()

@@ -19,7 +19,6 @@ PLY, the Stanford polygon file format, is read with plyfile; E57 (ASTM E2807), a
 scanners, with pye57. PCD is the format of the Point Cloud Library.
 """
 
-from importlib.util import find_spec
 import io
 import logging
 from pathlib import Path
@@ -31,8 +30,8 @@ from xml.parsers import expat
 import numpy as np
 from ocp_ros.scenes.guarded_reading import read_guarded
 from ocp_ros.scenes.text_tables import read_table, TableFormat
+from ocp_ros.util.settings import need
 from ocp_ros.util.terminal_text import printable
-from plyfile import PlyData
 from scipy.spatial.transform import Rotation
 
 _log = logging.getLogger(__name__)
@@ -73,7 +72,10 @@ def read_ply_fields(path: Path) -> dict[str, np.ndarray]:
         element of vertices. If lists come before the vertices or in them, only coordinates and
         normals. If x, y or z is missing, the columns are empty.
     :raises ValueError: if the file is broken.
+    :raises ConfigurationError: if there is no plyfile.
     """
+    need(path.name, 'plyfile')
+    from plyfile import PlyData
     header, end_of_line, elements = _read_elements(path)
     names = [element.name for element in elements]
     if 'tristrips' in names:
@@ -314,7 +316,7 @@ def read_e57_points(path: Path) -> np.ndarray:
 
     :returns: (N, 3) float64, in the file's unit, which is the metre by the standard.
     :raises ValueError: if the file is broken.
-    :raises ImportError: if there is no pye57.
+    :raises ConfigurationError: if there is no pye57.
     """
     file_bytes = path.stat().st_size
     header_bytes = 48
@@ -328,8 +330,7 @@ def read_e57_points(path: Path) -> np.ndarray:
     if page_bytes != PAGE_BYTES:
         raise ValueError(f'pages of {page_bytes:,} bytes, not {PAGE_BYTES:,}')
     _check_xml(_read_xml(path, xml_start, xml_bytes))
-    if not find_spec('pye57'):
-        raise ImportError('pye57; pip install pye57')
+    need(path.name, 'pye57')
     # Real files pack a point in 6 bytes or more, so the file has fewer points than bytes.
     return read_guarded('e57', path, 3, file_bytes)
 

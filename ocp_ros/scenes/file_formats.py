@@ -14,7 +14,6 @@
 
 """File formats of rooms and their readers, by file name suffix."""
 
-from importlib.util import find_spec
 from pathlib import Path
 import re
 from typing import NamedTuple
@@ -33,6 +32,7 @@ from ocp_ros.scenes.measured_room import ROOM, solids_of, triangles_of
 from ocp_ros.scenes.meshes import MESHES, read_mesh
 from ocp_ros.scenes.scene import SceneError
 from ocp_ros.scenes.text_tables import read_points, read_ptx_points
+from ocp_ros.util.settings import need
 from ocp_ros.util.terminal_text import printable
 from ocp_ros.util.yaml_files import check, read_plain
 
@@ -202,8 +202,7 @@ def read_file(path: Path, building: Building, scale: float) -> tuple[np.ndarray,
     _check_building(path, kind, building)
     if not kind:
         return READERS[suffix](path), declared_by(path)
-    if find_spec(package) is None:
-        raise ImportError(f"{package}: pip install 'ocp_ros[buildings]'")
+    need(path.name, package)
     arguments = {'dxf': (str(building.height), building.layers, str(scale)), 'usd': (),
                  'ifc': (building.storey, building.space, 'yes' if building.open_doors else '')}
     try:

@@ -24,6 +24,7 @@ from typing import BinaryIO, NamedTuple
 
 import numpy as np
 from ocp_ros.scenes.guarded_reading import read_guarded
+from ocp_ros.util.settings import need
 from ocp_ros.util.terminal_text import printable
 
 _log = logging.getLogger(__name__)
@@ -85,12 +86,13 @@ def read_las_points(path: Path) -> np.ndarray:
 
     :returns: (N, 3) float64, in the file's unit.
     :raises ValueError: if the file is broken.
-    :raises ImportError: if there is no laspy or, for a LAZ file, no lazrs or laszip.
+    :raises ConfigurationError: if there is no laspy or, for a LAZ file, no lazrs or laszip.
     """
     size = path.stat().st_size
     count, is_laz = _declared_count(path, size)
-    if not find_spec('laspy') or (is_laz and not (find_spec('lazrs') or find_spec('laszip'))):
-        raise ImportError('laspy and lazrs; pip install "laspy[lazrs]"')
+    need(path.name, 'laspy')
+    if is_laz and not find_spec('laszip'):
+        need(path.name, 'lazrs')
     rows = read_guarded('las', path, 4, count)
     if len(rows) != count:
         raise ValueError(f'{len(rows):,} of {count:,} points')

@@ -16,13 +16,13 @@
 
 from contextlib import suppress
 from importlib import import_module
-from importlib.util import find_spec
 from pathlib import Path
 from threading import Thread
 
 import numpy as np
 from ocp_ros.scenes.guarded_reading import read_guarded
 from ocp_ros.scenes.scene import Mesh
+from ocp_ros.util.settings import need
 
 #: Suffixes of meshes. PLY files with faces are meshes too.
 MESHES = ('.glb', '.gltf', '.obj', '.off', '.stl')
@@ -41,12 +41,11 @@ def read_mesh(path: Path) -> np.ndarray:
     :returns: (T, 9) float64, the three corners of each triangle in the unit and axes of the file;
         for an OBJ file without faces, the vertices (N, 3).
     :raises ValueError: if the file is broken or has no faces.
-    :raises ImportError: if Open3D is not installed.
+    :raises ConfigurationError: if Open3D is not installed.
     """
     if path.suffix.lower() == '.obj' and (vertices := _vertices_without_faces(path)) is not None:
         return vertices
-    if not find_spec('open3d'):
-        raise ImportError('open3d; pip install open3d')
+    need(path.name, 'open3d')
     # This process casts rays at the faces later, so it imports Open3D while the other process
     # reads.
     import_thread = Thread(target=_import_open3d)

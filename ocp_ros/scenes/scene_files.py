@@ -57,9 +57,8 @@ from ocp_ros.scenes.source_frame import (
     UP_CHOICES,
 )
 from ocp_ros.util.files import write_atomically
-from ocp_ros.util.settings import UserError
+from ocp_ros.util.settings import need, UserError
 from ocp_ros.util.terminal_text import printable
-from plyfile import PlyData, PlyElement
 from scipy.spatial import cKDTree
 
 #: The number of sample points on a mesh, to find its size, axes and stray parts.
@@ -359,8 +358,11 @@ def save_scene(scene: Scene, path: str | Path) -> None:
     Write the points of a room as .ply, and its mesh, if it has one, as ``<stem>_mesh.ply``.
 
     :raises SceneError: if the files cannot be written.
+    :raises ConfigurationError: if there is no plyfile.
     """
     path = Path(path)
+    need(path.name, 'plyfile')
+    from plyfile import PlyData, PlyElement
     columns = [('x', 'f4'), ('y', 'f4'), ('z', 'f4')]
     elements = {path: [PlyElement.describe(_records(scene.points, columns), 'vertex')]}
     if scene.mesh is not None:
@@ -483,9 +485,6 @@ def _read_rows(path: Path, building: Building = EVERYTHING, scale: float = 0.0
         return sample_faces(corners, COARSE_SAMPLES), corners, declared
     except UserError as error:
         raise SceneError(str(error)) from error
-    except ImportError as error:
-        raise SceneError(f'{path.name}: found a {path.suffix} file and no package that reads it; '
-                         f'expected {error}') from error
     except OSError as error:
         raise SceneError(f'{path.name}: found a file that cannot be read ({error}); expected one '
                          'that may be opened; check its permissions and the disk') from error

@@ -28,6 +28,7 @@ import logging
 
 import numpy as np
 from ocp_ros.search.planner import Planner, Search
+from ocp_ros.util.settings import need
 from scipy.optimize import linear_sum_assignment
 
 
@@ -93,6 +94,7 @@ class CmaEs(Planner):
 
     def search(self) -> Search:
         """Run and restart until the budget is used up."""
+        need('planner cma', 'cma')
         # pycma imports matplotlib, which is slow: import it only for this planner.
         import cma
         logging.getLogger('cma').setLevel(logging.ERROR)

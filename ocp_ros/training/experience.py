@@ -23,15 +23,13 @@ or not at all; :class:`Assembler` makes transitions of them.
 
 from collections import OrderedDict
 from collections.abc import Mapping, Sequence
+import io
 import json
-import struct
 from typing import NamedTuple
 
 import numpy as np
-from ocp_ros.policy.checkpoint import read_metadata
 from ocp_ros.util.settings import MAX_CAMERAS
-from safetensors import SafetensorError
-import safetensors.numpy
+from ocp_ros.util.tensor_blob import read_blob, write_blob
 
 #: Key, in the blob's metadata, of the JSON text with time stamp and turn.
 KEY = 'ocp_ros-experience-1'
@@ -78,9 +76,9 @@ def to_bytes(experience: Experience) -> bytes:
     arrays['actions'] = np.stack([choice.actions for choice in choices]).astype(np.float32)
     arrays['targets'] = np.asarray(experience.targets, dtype=np.float64)
     header = json.dumps({'stamp': experience.stamp, 'turn': experience.turn})
-    return safetensors.numpy.save(
-        {name: np.ascontiguousarray(value) for name, value in arrays.items()},
-        metadata={KEY: header})
+    blob = io.BytesIO()
+    write_blob(blob, arrays, {KEY: header})
+    return blob.getvalue()
 
 
 def from_bytes(blob: bytes, expected: Mapping[str, tuple[tuple[int, ...], np.dtype]],
@@ -94,12 +92,12 @@ def from_bytes(blob: bytes, expected: Mapping[str, tuple[tuple[int, ...], np.dty
     :raises ExperienceError: if the blob is damaged, has NaN or inf, or is of another network.
     """
     try:
-        header = json.loads(read_metadata(blob)[KEY])
+        arrays, metadata = read_blob(blob)
+        header = json.loads(metadata[KEY])
         stamp, turn = int(header['stamp']), int(header['turn'])
-        arrays = safetensors.numpy.load(blob)
         actions, targets = arrays.pop('actions'), arrays.pop('targets')
-    except (SafetensorError, KeyError, TypeError, ValueError, AttributeError, ArithmeticError,
-            RecursionError, struct.error) as error:
+    except (KeyError, TypeError, ValueError, AttributeError, ArithmeticError, RecursionError
+            ) as error:
         raise ExperienceError(
             f'experience: found no readable one ({type(error).__name__}: {error}); expected a '
             'whole safetensors blob of a policy that explores') from error

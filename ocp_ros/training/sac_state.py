@@ -31,12 +31,10 @@ from typing import TYPE_CHECKING
 import uuid
 
 import numpy as np
-from ocp_ros.policy.checkpoint import CheckpointError, MAX_WEIGHT, read_metadata
+from ocp_ros.policy.checkpoint import CheckpointError, MAX_WEIGHT
 from ocp_ros.policy.networks import SYMMETRIES, turned_observation, turned_vectors
-from ocp_ros.util.files import check_regular, read_regular, whole_or_absent, write_atomically
-from safetensors import SafetensorError
-import safetensors.numpy
-import safetensors.torch
+from ocp_ros.util.files import check_regular, read_regular, whole_or_absent
+from ocp_ros.util.tensor_blob import read_blob, write_blob
 from stable_baselines3.common.buffers import DictReplayBuffer
 from stable_baselines3.common.type_aliases import DictReplayBufferSamples
 import torch
@@ -174,9 +172,9 @@ def save_state(model: 'AgentSac', path: Path, run: str) -> None:
     tensors = _weights_and_counters(model)
     for name, optimizer in _optimizers(model).items():
         tensors |= saved_slots(optimizer, f'optimizer.{name}.')
-    # safetensors refuses tensors that share memory.
-    tensors = {name: value.cpu().contiguous().clone() for name, value in tensors.items()}
-    write_atomically(path, safetensors.torch.save(tensors, metadata={'run': run}))
+    with whole_or_absent(path) as temporary_path, open(temporary_path, 'wb') as file:
+        write_blob(file, {name: value.detach().cpu().numpy() for name, value in tensors.items()},
+                   {'run': run})
 
 
 def load_state(model: 'AgentSac', path: Path) -> str:
@@ -188,12 +186,14 @@ def load_state(model: 'AgentSac', path: Path) -> str:
         unchanged.
     """
     try:
-        blob = read_regular(path)
-        tensors, run = safetensors.torch.load(blob), read_metadata(blob)['run']
+        arrays, metadata = read_blob(read_regular(path))
+        # The copies may be written to, as PyTorch expects.
+        tensors = {name: torch.from_numpy(array.copy()) for name, array in arrays.items()}
+        run = metadata['run']
         if not isinstance(run, str):
             raise ValueError(f'its run is {run!r}')
         _check_tensors(tensors, _weights_and_counters(model) | _expected_slots(model, tensors))
-    except (OSError, SafetensorError, KeyError, TypeError, ValueError, RuntimeError) as error:
+    except (OSError, KeyError, TypeError, ValueError, RuntimeError) as error:
         raise CheckpointError(
             f'{path}: found no training state for this network ({error}); expected a whole one, '
             'saved with the same settings; put it back from a copy, or begin in another folder '
@@ -262,15 +262,11 @@ def save_replay(buffer: DictReplayBuffer, path: Path) -> None:
     :param path: file to write or replace.
     :raises OSError: if the file cannot be written; an older file stays.
     """
-    arrays = {name: np.ascontiguousarray(rows[:buffer.size()])
-              for name, rows in _rows(buffer).items()}
+    arrays = {name: rows[:buffer.size()] for name, rows in _rows(buffer).items()}
     arrays[FILLED] = np.array([buffer.pos, buffer.full], dtype=np.int64)
-    try:
-        with whole_or_absent(path) as temporary_path:
-            # Write to the file directly: a second copy of the buffer may not fit into memory.
-            safetensors.numpy.save_file(arrays, temporary_path)
-    except SafetensorError as error:
-        raise OSError(f'{path}: found no room to write it ({error})') from error
+    # Write to the file directly: a second copy of the buffer may not fit into memory.
+    with whole_or_absent(path) as temporary_path, open(temporary_path, 'wb') as file:
+        write_blob(file, arrays)
 
 
 def load_replay(buffer: DictReplayBuffer, path: Path) -> None:
@@ -284,11 +280,11 @@ def load_replay(buffer: DictReplayBuffer, path: Path) -> None:
     try:
         # The file has at most the arrays of a full buffer, and a header below a megabyte.
         check_regular(path, sum(array.nbytes for array in _rows(buffer).values()) + 1_000_000)
-        arrays = safetensors.numpy.load_file(path)
+        arrays, _ = read_blob(np.memmap(path, np.uint8, 'r'))
         position, full = arrays.pop(FILLED).tolist()
         rows = _rows(buffer)
         _check_rows(arrays, rows, buffer.buffer_size if full else position)
-    except (OSError, SafetensorError, KeyError, TypeError, ValueError, IndexError) as error:
+    except (OSError, KeyError, TypeError, ValueError, IndexError) as error:
         raise CheckpointError(
             f'{path}: found no moves of this run ({error}); expected those that it has saved; '
             'remove the file: the run goes on and plays new moves first, nothing else is lost'

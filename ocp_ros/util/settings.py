@@ -22,6 +22,7 @@ values used are saved with each result.
 from collections.abc import Collection, Iterable
 from dataclasses import asdict, Field, field, fields, is_dataclass
 import difflib
+from importlib.util import find_spec
 from numbers import Integral, Real
 from typing import Any, TypeVar
 
@@ -31,6 +32,11 @@ T = TypeVar('T')
 MAX_CAMERAS = 64
 #: The largest seed.
 MAX_SEED = 1 << 31
+#: Packages that only some programs need, by the extra of setup.py that installs them.
+EXTRAS = {'plan': ('cma', 'highspy', 'plotly'), 'studio': ('viser',), 'ray': ('ray',),
+          'train': ('gymnasium', 'stable_baselines3', 'tensorboard'),
+          'buildings': ('ezdxf', 'ifcopenshell', 'pxr'),
+          'files': ('laspy', 'lazrs', 'open3d', 'plyfile', 'pye57', 'rosbags')}
 #: The least number of points of a room.
 MIN_ROOM_POINTS = 1000
 #: The largest number of points of a room.
@@ -43,6 +49,20 @@ class UserError(ValueError):
 
 class ConfigurationError(UserError):
     """Report an unusable setting; the message names it and says what was expected."""
+
+
+def need(user: str, *packages: str) -> None:
+    """
+    Check that packages of ``EXTRAS`` are installed.
+
+    :param user: what needs them, for the error.
+    :raises ConfigurationError: names the extra to install.
+    """
+    for package in packages:
+        if not find_spec(package):
+            extra = next(name for name, members in EXTRAS.items() if package in members)
+            raise ConfigurationError(f'{user}: found no package {package}; expected it; install '
+                                     f'it by pip install "ocp_ros[{extra}]"')
 
 
 def setting(default: Any, description: str, low: float | None = None, high: float | None = None,

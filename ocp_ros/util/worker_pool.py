@@ -24,7 +24,7 @@ import signal
 import threading
 from typing import Any, TypeVar
 
-from ocp_ros.util.settings import ConfigurationError
+from ocp_ros.util.settings import ConfigurationError, need
 from ocp_ros.util.threads import cores
 
 T = TypeVar('T')
@@ -133,11 +133,8 @@ def _apply(function: Callable[[T], U], task: T) -> U:
 
 def _connect_to_ray(address: str) -> Any:
     """Connect to a Ray cluster; return the module ``ray``."""
-    try:
-        import ray
-    except ImportError as error:
-        raise ConfigurationError(
-            '--ray: found no package ray; expected it; pip install "ocp_ros[ray]"') from error
+    need('--ray', 'ray')
+    import ray
     if not ray.is_initialized():
         ray.init(address=address, log_to_driver=False)
     return ray

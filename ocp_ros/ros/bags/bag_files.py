@@ -17,7 +17,6 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
-from importlib.util import find_spec
 import json
 from pathlib import Path
 import re
@@ -37,7 +36,7 @@ from ocp_ros.ros.bags.bag_process import (
 from ocp_ros.ros.interface.topics import camera_info_of_image
 from ocp_ros.util.files import read_regular
 from ocp_ros.util.guarded_process import GuardedProcess, ReadingCost
-from ocp_ros.util.settings import ConfigurationError
+from ocp_ros.util.settings import ConfigurationError, need
 import yaml
 
 #: Suffix of files that are compressed as a whole.
@@ -92,9 +91,7 @@ class Bag:
         self._process: GuardedProcess | None = None
         try:
             with self._explain_errors():
-                if not find_spec('rosbags'):
-                    raise ConfigurationError(f'{self.path}: found no package to read bags with; '
-                                             'expected rosbags; install it: pip install rosbags')
+                need(str(self.path), 'rosbags')
                 self._is_ros1, self._bag_path, self._files = _identify_bag(self.path)
                 self._description = self._start_process()
         except BaseException:

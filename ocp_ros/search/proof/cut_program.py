@@ -17,8 +17,8 @@
 from collections.abc import Callable
 from typing import NamedTuple
 
-import highspy
 import numpy as np
+from ocp_ros.util.settings import need
 
 
 class Optimum(NamedTuple):
@@ -51,25 +51,28 @@ class CutProgram:
     """
 
     def __init__(self, groups: np.ndarray, counts: np.ndarray, parts: int) -> None:
+        need('the certificate', 'highspy')
+        import highspy
+        self._highs = highspy
         self._part_count = parts
         self._group_count = len(counts)
         self.cuts = np.empty((0, 2), dtype=np.int64)
-        self._solver = highspy.Highs()
+        self._solver = self._highs.Highs()
         # A run ends after 300 iterations, so that ``solve`` can stop between the runs.
         for name, value in (('output_flag', False), ('threads', 1),
                             ('simplex_iteration_limit', 300)):
             self._solver.setOptionValue(name, value)
         members = groups == np.arange(len(counts))[:, None]
-        program = highspy.HighsLp()
+        program = self._highs.HighsLp()
         # The variables are the losses of the parts, then the shares of the poses.
         program.num_col_ = parts + len(groups)
         program.num_row_ = len(counts)
         program.col_cost_ = np.repeat([1.0, 0.0], [parts, len(groups)])
         program.col_lower_ = np.zeros(parts + len(groups))
-        program.col_upper_ = np.repeat([highspy.kHighsInf, 1.0], [parts, len(groups)])
+        program.col_upper_ = np.repeat([self._highs.kHighsInf, 1.0], [parts, len(groups)])
         # One row for each group: the shares of its poses add up to its count.
         program.row_lower_ = program.row_upper_ = np.asarray(counts, dtype=np.float64)
-        program.a_matrix_.format_ = highspy.MatrixFormat.kRowwise
+        program.a_matrix_.format_ = self._highs.MatrixFormat.kRowwise
         program.a_matrix_.start_ = np.append(0, np.cumsum(members.sum(axis=1))).astype(np.int32)
         program.a_matrix_.index_ = (np.nonzero(members)[1] + parts).astype(np.int32)
         program.a_matrix_.value_ = np.ones(members.sum())
@@ -89,7 +92,7 @@ class CutProgram:
         for part in np.arange(self._part_count)[selected]:
             poses = np.flatnonzero(gains[part])
             columns = np.append(part, poses + self._part_count).astype(np.int32)
-            self._solver.addRow(constants[part], highspy.kHighsInf, len(columns), columns,
+            self._solver.addRow(constants[part], self._highs.kHighsInf, len(columns), columns,
                                 np.append(1.0, gains[part, poses]))
             self.cuts = np.vstack([self.cuts, (number, part)])
 
@@ -101,7 +104,7 @@ class CutProgram:
         for _ in range(max_runs):
             self._solver.run()
             status = self._solver.getModelStatus()
-            if status != highspy.HighsModelStatus.kIterationLimit or should_stop():
+            if status != self._highs.HighsModelStatus.kIterationLimit or should_stop():
                 break
         solution = self._solver.getSolution()
         values = np.nan_to_num(np.array(solution.col_value))
@@ -112,5 +115,5 @@ class CutProgram:
         parts = self.cuts[:, 1]
         totals = np.bincount(parts, multipliers, self._part_count)
         losses, shares = np.split(values, [self._part_count])
-        return Optimum(status == highspy.HighsModelStatus.kOptimal, losses,
+        return Optimum(status == self._highs.HighsModelStatus.kOptimal, losses,
                        np.clip(shares, 0.0, 1.0), multipliers / np.maximum(totals, 1.0)[parts])
