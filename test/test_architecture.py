@@ -88,6 +88,7 @@ def test_the_version_is_the_same_everywhere():
     version = package.findtext('version')
     assert version == ocp_ros.__version__
     assert f"version='{version}'" in setup
+    assert yaml.safe_load((ROOT / 'CITATION.cff').read_text())['version'] == version
     assert re.search(rf'^{re.escape(version)} \(', (ROOT / 'CHANGELOG.rst').read_text(), re.M)
 
 

@@ -18,6 +18,7 @@ import argparse
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, TYPE_CHECKING
+import warnings
 
 from ocp_ros.cli.arguments import (
     add_overwrite,
@@ -52,6 +53,11 @@ def add_arguments(commands: Commands) -> None:
     command.add_argument('--rotations', type=read_integers, help='rotations of the rooms in '
                          'degrees, with commas between')
     command.add_argument('--model', help='weights of the planner learned: a path, or a name')
+    command.add_argument('--policy', metavar='[ALGORITHM:]FILE.zip', help='your agent of '
+                         'stable-baselines3, by default PPO, or MODULE:FUNCTION, as the planner '
+                         'own_policy; the file is code: name only files that you trust')
+    command.add_argument('--observation', metavar='KIND', help='with --policy: observation of '
+                         'the agent: dict (default) of the environment, flat, or MODULE:FUNCTION')
     command.add_argument('--cameras', type=read_cameras, metavar='N', help='number of cameras, '
                          'without a rig file; default: 4')
     command.add_argument('--sensor', metavar='SENSOR', help='sensor of all cameras, without a rig '
@@ -80,6 +86,11 @@ def run(arguments: argparse.Namespace) -> Found:
     from ocp_ros.util.files import folder_to_write
     check_cameras(arguments)
     claim_folder(arguments, arguments.out, RESULTS, 'protocol.json')
+    if arguments.policy is not None:
+        _add_policy(arguments)
+    elif arguments.observation is not None:
+        raise ConfigurationError('--observation: found it without --policy; expected both; name '
+                                 'the agent')
     # This also sets the option --rig, which ``protocol_of`` reads.
     rig_files = [_write_rig(arguments)] if arguments.sensor or arguments.cameras else []
     protocol = protocol_of(arguments)
@@ -128,7 +139,8 @@ def protocol_of(arguments: argparse.Namespace) -> 'Protocol':
     from ocp_ros.compare.protocol import placement_settings, PRESETS, rooms_in, rooms_of_s3dis
     from ocp_ros.rooms.room_sets import SETS
     changes: dict[str, Any] = {
-        name: value for name in ('planners', 'budgets', 'seeds', 'scale', 'up', 'model')
+        name: value for name in ('planners', 'budgets', 'seeds', 'scale', 'up', 'model', 'policy',
+                                 'observation')
         if (value := getattr(arguments, name)) is not None}
     if arguments.rotations is not None:
         changes['rotations'] = tuple(map(float, arguments.rotations))
@@ -145,6 +157,18 @@ def protocol_of(arguments: argparse.Namespace) -> 'Protocol':
     else:
         rooms = [*protocol.rooms, *(rooms_of_s3dis() if arguments.preset == 'full' else ())]
     return replace(protocol, rooms=tuple(rooms))
+
+
+def _add_policy(arguments: argparse.Namespace) -> None:
+    """Load the agent of the user, with a warning, and compare it unless it is named already."""
+    from ocp_ros.search.registry import planner_names
+    from ocp_ros.training.saved_agents import DICT, OWN_POLICY, register_policy
+    warnings.warn(f'--policy: found {arguments.policy}, which can run any code; expected one that '
+                  'you trust', stacklevel=2)
+    # By default it is compared with all planners.
+    names = arguments.planners or planner_names()
+    register_policy(arguments.policy, arguments.observation or DICT)
+    arguments.planners = names if OWN_POLICY in names else (OWN_POLICY, *names)
 
 
 def check_cameras(arguments: argparse.Namespace) -> None:

@@ -149,6 +149,8 @@ def _write_or_check_record(folder: Path, protocol: Protocol) -> str:
     """Return the record of a comparison; write it, or check it if the folder has a record."""
     files = {protocol.model: find_model(protocol.model),
              'rig': Path(protocol.simulation.rig_file)}
+    if protocol.policy.endswith('.zip'):
+        files['policy'] = Path(protocol.policy.rpartition(':')[2])
     try:
         # The contents of files with the same name may differ.
         hashes = {name: sha256_of_file(path, MAX_BYTES) for name, path in files.items()}

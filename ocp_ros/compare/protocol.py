@@ -43,6 +43,7 @@ from ocp_ros.search.plan import load_kernels, plan
 from ocp_ros.search.registry import OBSERVED, planner_names, REFERENCES, RIG_SEARCH
 from ocp_ros.simulation.problem import Problem
 from ocp_ros.simulation.simulation_config import SimulationConfig
+from ocp_ros.training.saved_agents import OWN_POLICY, register_policy
 from ocp_ros.util.resources import DEFAULT_MODEL, find_config
 from ocp_ros.util.settings import ConfigurationError
 
@@ -114,6 +115,9 @@ class Protocol:
     :ivar simulation: the rig file, whose constraints apply to each planner, and the engine of
         searches, which computes the promised errors.
     :ivar model: weights of trained planners: path or name.
+    :ivar policy: the agent of the planner ``own_policy``, see
+        :func:`~ocp_ros.training.saved_agents.register_policy`; '' for none.
+    :ivar observation: the observation of this agent.
     :ivar points: number of points of the scan for searches.
     :ivar judged_points: number of points of the scan for the judge.
     :ivar truth_budget: number of evaluations of the search with ray casting.
@@ -128,6 +132,8 @@ class Protocol:
     up: str = BY_FILE
     simulation: SimulationConfig = field(default_factory=placement_settings)
     model: str = DEFAULT_MODEL
+    policy: str = ''
+    observation: str = 'dict'
     points: int = SEARCH_POINTS
     judged_points: int = JUDGE_POINTS
     truth_budget: int = 1000
@@ -212,6 +218,9 @@ def run_task(protocol: Protocol, task: BenchmarkTask) -> list[dict[str, Any]]:
         optimality ``gap``, or the ``trajectory`` and the seconds of turns.
     """
     room = protocol.room(task.room, task.rotation)
+    if task.planner == OWN_POLICY:
+        # A worker process does not know it yet.
+        register_policy(protocol.policy, protocol.observation)
     if task.planner == RANDOM_PLACEMENT:
         runs = _draw_placements(room.judge_problem)
     elif task.planner == RAY_SEARCH:

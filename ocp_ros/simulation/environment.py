@@ -39,6 +39,24 @@ MAX_PROBLEMS = 16
 MAX_CACHED_POINTS = 4_000_000
 
 
+def observation_space_of(cameras: int, points: int, aimed: bool) -> spaces.Dict:
+    """
+    Return the observation space of :class:`CameraPlacementEnv`.
+
+    :param cameras: the largest number of cameras.
+    :param points: number of points of an observed cloud.
+    :param aimed: whether cameras are turned.
+    """
+    shapes = {'cloud': (points, 3), 'camera_positions': (cameras, 3),
+              'bounds': (2, 3), 'present': (cameras,)}
+    if aimed:
+        shapes['camera_headings'] = (cameras, 3)
+    # The bound of all coordinates in an observation.
+    max_coordinate_m = 1000.0
+    return spaces.Dict({name: spaces.Box(-max_coordinate_m, max_coordinate_m, shape, np.float32)
+                        for name, shape in shapes.items()})
+
+
 class CameraPlacementEnv(gym.Env):
     """
     Move depth cameras until their views together reconstruct the room.
@@ -110,16 +128,9 @@ class CameraPlacementEnv(gym.Env):
             raise ValueError(f'fewest: found {self.fewest} with several kinds of camera; expected '
                              f'{cameras}: which of them would be left out?')
         self.axes = self.rig.axes
-        shapes = {'cloud': (observation_points, 3), 'camera_positions': (cameras, 3),
-                  'bounds': (2, 3), 'present': (cameras,)}
-        if 'yaw' in self.axes:
-            shapes['camera_headings'] = (cameras, 3)
         self.action_space = spaces.Box(-1.0, 1.0, (cameras, len(self.axes)), np.float32)
-        # The bound of all coordinates in an observation.
-        max_coordinate_m = 1000.0
-        self.observation_space = spaces.Dict({
-            name: spaces.Box(-max_coordinate_m, max_coordinate_m, shape, np.float32)
-            for name, shape in shapes.items()})
+        self.observation_space = observation_space_of(cameras, observation_points,
+                                                      'yaw' in self.axes)
 
     def _check_rig(self) -> None:
         """Refuse too few cameras for a rig file, and rotations if it has map coordinates."""
