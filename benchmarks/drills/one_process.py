@@ -44,7 +44,7 @@ from rich.console import Console
 from rich.progress import track
 
 #: Points of the rooms, movements of a session, and evaluations of a plan.
-POINTS, MOVEMENTS, EVALUATIONS = 10_000, 50, 200
+POINTS, MOVEMENTS, EVALUATIONS = 3000, 50, 50
 #: Seeds of the rooms of the plans, and their rigs by turns.
 ROOMS, RIGS = range(1, 8), tuple(
     {'cameras': count, 'sensor': sensor, 'mount': mount}
