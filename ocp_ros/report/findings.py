@@ -109,14 +109,16 @@ def rig_scores(objective: Objective, views: Sequence[View], evaluation: RigEvalu
     """Return those scores of :func:`scores_of` that are about all cameras together."""
     simulator, rig = objective.simulator, objective.rig
     points = len(simulator.scene)
+    validated = objective.validation.evaluate_views(views)
     return {
         'loss': evaluation.loss, 'depth_error': evaluation.depth_error,
-        'validation_error': objective.validation.depth_error(views),
+        'validation_error': validated.depth_error,
         'depth_error_of_nothing': simulator.depth_error.worst,
         'space_coverage': evaluation.space_coverage,
         # Outside of the room, as through windows, cameras cover space too.
         'volume': max(objective.volume, evaluation.space_coverage),
         'seen_by': rig.seen_by, 'seen': len(evaluation.seen) / points, 'points': points,
+        'unproved': 1.0 - len(validated.seen) / max(len(evaluation.seen), 1),
         'overlap': dict(zip(('0', '1', '2', '3 or more'), objective.overlap(views))),
         'regions': [{'name': region.name, 'of': region.parts, 'seen': float(share),
                      **({'around': True} if region.air and region.air.around else {}),

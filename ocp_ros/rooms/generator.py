@@ -65,6 +65,11 @@ def generate_room(seed: int, n_points: int = 15000, scanned: bool = True) -> Sce
     return Scene(points, f'room-{seed}', mesh=mesh_of(plan))
 
 
+def stations_of(seed: int) -> np.ndarray:
+    """Return where the scanner of :func:`generate_room` stands: (T, 3) metres."""
+    return _place_tripods(plan_of(seed), np.random.default_rng([seed, 1]))
+
+
 def mesh_of(plan: RoomPlan) -> Mesh:
     """Return the mesh of a room: its shell (floor, walls, ceiling) and all solids in it."""
     # The corners of a cube around the origin, in the order of ``BOX_TRIANGLES``.

@@ -171,7 +171,8 @@ def load_cached(path: str | Path, **options) -> Scene:
                 arrays['rooms'], float(arrays['rooms_edge']), arrays['rooms_corner'])
             scene = Scene(arrays['points'], str(arrays['name']), arrays.get('normals'), mesh,
                           source, notes=tuple(map(str, arrays['notes'])),
-                          remarks=tuple(map(str, arrays['remarks'])), rooms=rooms)
+                          remarks=tuple(map(str, arrays['remarks'])), rooms=rooms,
+                          stations=arrays.get('stations'))
             return scene if 'survey_points' not in arrays else replace(scene, survey=replace(
                 scene, points=arrays['survey_points'], normals=arrays.get('survey_normals')))
     except (OSError, ValueError, KeyError, TypeError, EOFError, BadZipFile):
@@ -194,6 +195,8 @@ def _write_to_cache(path: Path, scene: Scene) -> None:
     if scene.mesh is not None:
         arrays |= {'vertices': scene.mesh.vertices, 'triangles': scene.mesh.triangles,
                    'exact': np.array(scene.mesh.exact)}
+    if scene.stations is not None:
+        arrays['stations'] = scene.stations
     if scene.rooms is not None:
         # The plan of rooms that are read lies along the axes of the map.
         arrays |= {'rooms': scene.rooms.numbers, 'rooms_edge': np.array(scene.rooms.edge),

@@ -335,6 +335,21 @@ def read_e57_points(path: Path) -> np.ndarray:
     return read_guarded('e57', path, 3, file_bytes)
 
 
+def e57_stations(path: Path) -> np.ndarray:
+    """Return where the scanner stood in each scan of an E57 file that says it: (T, 3)."""
+    with path.open('rb') as file:
+        _, xml_start, xml_bytes, _ = struct.unpack_from('<QQQQ', file.read(48), 16)
+    content = _read_xml(path, xml_start, xml_bytes)
+    # Pictures have poses too, after those of the scans.
+    scans = re.search(rb'<data3D\b.*?</data3D>', content, re.DOTALL)
+    places = re.findall(rb'<translation\b[^>]*>(.*?)</translation>', scans[0] if scans else b'',
+                        re.DOTALL)
+    # A coordinate without a text is 0.
+    return np.array([[float(found[1]) if (found := re.search(
+        rb'<%c\b[^>/]*>([^<]+)<' % axis, place)) else 0.0 for axis in b'xyz']
+        for place in places]).reshape(-1, 3)
+
+
 def _read_xml(path: Path, start: int, length: int) -> bytes:
     """Return the XML of an E57 file: ``length`` bytes from ``start`` on, without checksums."""
     # Files with thousands of scans have a tenth of this.

@@ -21,6 +21,7 @@ from typing import NamedTuple
 import numpy as np
 from ocp_ros.scenes.building_files import Building, MAP, read_map
 from ocp_ros.scenes.cloud_files import (
+    e57_stations,
     has_faces,
     read_e57_points,
     read_pcd_fields,
@@ -31,7 +32,7 @@ from ocp_ros.scenes.las_files import FOOT, las_units, LengthUnit, METRE, read_la
 from ocp_ros.scenes.measured_room import ROOM, solids_of, triangles_of
 from ocp_ros.scenes.meshes import MESHES, read_mesh
 from ocp_ros.scenes.scene import SceneError
-from ocp_ros.scenes.text_tables import read_points, read_ptx_points
+from ocp_ros.scenes.text_tables import ptx_stations, read_points, read_ptx_points
 from ocp_ros.util.settings import need
 from ocp_ros.util.terminal_text import printable
 from ocp_ros.util.yaml_files import check, read_plain
@@ -130,6 +131,7 @@ class Declared(NamedTuple):
     :ivar remark: a description of the declared unit or axis, if it is not metres or z.
     :ivar solids: (S, 2, 3) two opposite corners of each solid box; None if the file declares none.
     :ivar note: a problem with the unit, if the file has one.
+    :ivar stations: (T, 3) where the scanner stood; None if the file does not say it.
     """
 
     metres: tuple[float, float, float] = (1.0, 1.0, 1.0)
@@ -137,6 +139,11 @@ class Declared(NamedTuple):
     remark: str = ''
     solids: np.ndarray | None = None
     note: str = ''
+    stations: np.ndarray | None = None
+
+
+#: What reads where the scanner stood.
+STATIONS = {'.ptx': ptx_stations, '.e57': e57_stations}
 
 
 def declared_by(path: Path) -> Declared:
@@ -144,6 +151,9 @@ def declared_by(path: Path) -> Declared:
     suffix = path.suffix.lower()
     if suffix in ('.glb', '.gltf'):
         return Declared(up='y', remark='up: y (glTF)')
+    if suffix in STATIONS:
+        stations = STATIONS[suffix](path)
+        return Declared(stations=stations if len(stations) else None)
     if suffix in ('.las', '.laz'):
         return _declared_units(*las_units(path))
     if suffix in ('.obj', '.off', '.ply', *TEXTS):

@@ -132,6 +132,7 @@ class Scene:
     :ivar survey: the same room with the points that it was judged on, if they are others: an
         answer about the scan does not depend on how far it is thinned.
     :ivar rooms: the rooms of a floor; None for one room.
+    :ivar stations: (T, 3) metres, where the scanner stood; None if that is not known.
     :raises SceneError: if the points are not a room (see :func:`check_points`).
     """
 
@@ -144,6 +145,7 @@ class Scene:
     remarks: tuple[str, ...] = ()
     survey: 'Scene | None' = field(default=None, repr=False)
     rooms: Rooms | None = field(default=None, repr=False)
+    stations: np.ndarray | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         """Convert the points to float32 in C order and refuse points that are not a room."""
@@ -233,7 +235,8 @@ def turned(scene: Scene, degrees: float) -> Scene:
     rotated = Scene(scene.points @ rotation.T, f'{scene.name}@{degrees:g}', normals, mesh,
                     scene.source.rotated(rotation), scene.notes, scene.remarks,
                     None if scene.survey is None else turned(scene.survey, degrees),
-                    scene.rooms and scene.rooms.turned(rotation))
+                    scene.rooms and scene.rooms.turned(rotation),
+                    None if scene.stations is None else scene.stations @ rotation.T)
     # A rotation keeps distances, but distances of the rotated points would differ by rounding. So
     # the properties with distances are copied.
     rotated.__dict__.update((name, getattr(scene, name))

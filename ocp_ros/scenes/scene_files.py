@@ -226,7 +226,9 @@ def _make_scene(rows: np.ndarray, name: str, scene_name: str, declared: Declared
                            np.hsplit(sample_faces(mesh.corners, max_samples), 2))
     # Points of a scan, or of a mesh without enclosed air: merge them.
     merged = _merge_points(points, voxel_size, max_points, name)
-    scene = Scene(merged, scene_name, normals if merged is points else None, mesh, source)
+    stations = None if declared.stations is None else source.to_map(declared.stations)
+    scene = Scene(merged, scene_name, normals if merged is points else None, mesh, source,
+                  stations=stations)
     if len(merged) < len(points):
         remarks += (f'{len(merged):,} of {len(points):,} points kept '
                     f'({"merged in voxels" if voxel_size else "--points"})',)

@@ -14,6 +14,7 @@
 
 """Text files of numbers, with errors that name the line."""
 
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from itertools import chain, islice, product
 from pathlib import Path
@@ -122,6 +123,19 @@ def read_ptx_points(path: Path) -> np.ndarray:
     if not scans:
         raise ValueError('no scan')
     return np.concatenate(scans)
+
+
+def ptx_stations(path: Path) -> np.ndarray:
+    """Return where the scanner stood in each scan of a PTX file: (T, 3), of a valid file."""
+    places = []
+    with path.open(encoding='latin-1') as file:
+        while (line := file.readline()).strip():
+            count = int(line) * int(file.readline())
+            np.loadtxt(file, max_rows=4, ndmin=2)
+            places.append(np.loadtxt(file, max_rows=4, ndmin=2)[3, :3])
+            # Skip the points.
+            deque(islice(file, count), maxlen=0)
+    return np.array(places)
 
 
 def read_table(path: Path, table_format: TableFormat) -> np.ndarray:

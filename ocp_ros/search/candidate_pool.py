@@ -29,6 +29,7 @@ from ocp_ros.search.budget import Budget
 from ocp_ros.search.pose_grid import MAX_GRID_POSES, PoseGrid
 from ocp_ros.simulation.objective import Objective
 from ocp_ros.simulation.problem import Problem
+from ocp_ros.simulation.scan_evidence import ScanEvidence
 from ocp_ros.simulation.simulator import View
 from ocp_ros.util.settings import ConfigurationError
 from scipy.spatial import cKDTree
@@ -209,9 +210,11 @@ class CandidatePool:
         for camera, site in zip(rig.cameras, sites):
             self._added_views[camera.model].append(site.view)
 
-    def union_views(self, rig: Rig) -> list[View]:
+    def union_views(self, rig: Rig, evidence: ScanEvidence | None = None) -> list[View]:
         """
         Return for each camera of a rig the union of the views of all its candidates.
+
+        :param evidence: only what it proves counts; None for all views.
 
         These unions give a lower bound of the objective: in any choice of candidates and added
         placements, each point is visible to at most as many cameras as in the unions.
@@ -219,7 +222,13 @@ class CandidatePool:
         unions = []
         for camera in rig.cameras:
             views = [*self.candidates_of(camera.model).views, *self._added_views[camera.model]]
-            unions.append(View(np.bitwise_or.reduce([view.seen for view in views]),
+            seen = np.zeros_like(views[0].seen)
+            for view in views:
+                added = view.seen & ~seen
+                # A bound may be too good, so the finer map is not needed.
+                seen |= added if evidence is None else evidence.proved(
+                    added, view.position, finer=False)
+            unions.append(View(seen,
                                np.bitwise_or.reduce([view.covered for view in views]),
                                good=np.bitwise_or.reduce([view.good for view in views])))
         return unions

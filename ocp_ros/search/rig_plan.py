@@ -185,7 +185,8 @@ class RigPlanner:
                 proof, found=min(losses), bound=min(proof.bound, *losses)))
         views, union = objective.look(answer.poses), self.pool.union_views(rig)
         validation = objective.validation
-        errors = ValidatedErrors(validation.depth_error(views), validation.depth_error(union),
+        proved = self.pool.union_views(rig, validation.simulator.evidence)
+        errors = ValidatedErrors(validation.depth_error(views), validation.depth_error(proved),
                                  validation.simulator.depth_error.worst)
         return RigPlan(
             rig, answer, objective.evaluate_views(views), objective.evaluate_views(union), errors,

@@ -424,8 +424,15 @@ class Objective:
                          for view in more])
 
     def _with_fixed(self, views: Sequence[View]) -> list[View]:
-        """Return all views, then those of the cameras in place; one empty view if none."""
-        return [*views, *self.fixed] or [self._empty_view]
+        """
+        Return all views, then those of the cameras in place; one empty view if none.
+
+        They contain only what the simulator's evidence proves, if it has any.
+        """
+        all_views = [*views, *self.fixed] or [self._empty_view]
+        evidence = self.simulator.evidence
+        return all_views if evidence is None else [
+            view._replace(seen=evidence.proved(view.seen, view.position)) for view in all_views]
 
     def _seen_by_count(self, views: Sequence[View]) -> list[np.ndarray]:
         """Return the points that at least 1, 2, ... ``seen_by`` views contain, as packed bits."""

@@ -41,6 +41,7 @@ from ocp_ros.geometry.visibility import CubeVisibility, MESH, PRESETS, SurfelVis
 from ocp_ros.rig.rig_file import Requirement
 from ocp_ros.scenes.scene import Scene, SceneError
 from ocp_ros.simulation.ray_visibility import RayVisibility
+from ocp_ros.simulation.scan_evidence import ScanEvidence
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.viewpoints import viewpoints_of
 from ocp_ros.util.settings import ConfigurationError
@@ -150,6 +151,9 @@ class Simulator:
         self.depth_error = make_error(config.engine.viewpoints)
         #: Built once, and shared with the simulators of other rigs in this scene.
         self._validation_error = cache(partial(make_error, 'validation'))
+        self._scan_evidence = cache(partial(ScanEvidence.of, scene, self.visibility))
+        #: What the scan proves about views; None if all views count.
+        self.evidence: ScanEvidence | None = None
 
     def _set_models(self, models: Sequence[CameraModel]) -> None:
         """Set the camera models, and for each the index of the first equal model."""
@@ -261,9 +265,14 @@ class Simulator:
         return found
 
     def with_validation(self) -> 'Simulator':
-        """Return the same simulator with the depth error on the validation viewpoints."""
+        """
+        Return the same simulator with the depth error on the validation viewpoints.
+
+        Only views count that the scan proves; see :mod:`ocp_ros.simulation.scan_evidence`.
+        """
         other = copy(self)
         other.depth_error = self._validation_error()
+        other.evidence = self._scan_evidence()
         return other
 
     @property

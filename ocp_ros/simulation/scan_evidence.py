@@ -1,0 +1,172 @@
+# Copyright 2026 The ocp_ros authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+What a scan proves: the scanned side of each surface, and the space that the scanner saw through.
+
+Points block views and are visible from both sides, and nothing blocks a view where a back was not
+scanned. So a camera behind a cabinet seems to see the inside of its front, and what is beyond. A
+view counts as proved if it meets each surface from a scanned side, stays in space that rays of the
+scanner have crossed, and passes the edges of surfaces on a finer map. A search uses all views, and
+what a placement promises the proved ones.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property, lru_cache, partial
+
+import numpy as np
+from ocp_ros.geometry.cameras import CameraModel, LEVEL, Pose
+from ocp_ros.geometry.free_space import cross_cells, proved_bits
+from ocp_ros.geometry.packed_bits import no_bits, unpack
+from ocp_ros.geometry.visibility import FINE, SurfelVisibility
+from ocp_ros.rig.free_plane import FreePlane
+from ocp_ros.rig.structure import Air, floor_height
+from ocp_ros.scenes.scene import Scene
+from ocp_ros.util.threads import mapped
+
+#: Metres: the edge of a cell of space.
+CELL_M = 0.1
+#: Metres: the way through unknown space that is still taken for free.
+MAX_UNKNOWN_M = 0.4
+#: Metres: the height of a scanner whose place is not known, and the distance of such places.
+STATION_HEIGHT_M, STATION_SPACING_M = 1.5, 0.7
+#: The least share of all points that a further station has to add, and the largest share that no
+#: station sees if they are found.
+MIN_ADDED_SHARE, MAX_UNSEEN_SHARE = 0.005, 0.05
+#: The rules of the finer maps.
+FINER = FINE._replace(rows=320)
+
+
+@dataclass(frozen=True, eq=False)
+class ScanEvidence:
+    """
+    What a scan proves about views; arrays are in the engine's order of points.
+
+    :ivar scene: the scan.
+    :ivar visibility: that of the engine for the scene, by the rules of the finer maps.
+    :ivar stations: (T, 3) metres, where the scanner stood, or may have stood.
+    :ivar points: (N, 3) float32, metres.
+    :ivar normals: (N, 3) float32 unit vectors.
+    :ivar sides: (N,) int8, 1 or -1 for the side of the normal or the other one if the surface was
+        seen from there only, else 0.
+    :ivar low: (3,) metres, the corner of the first cell.
+    :ivar is_crossed: (X, Y, Z) bool, the cells that rays of the scanner have crossed.
+    """
+
+    scene: Scene
+    visibility: SurfelVisibility
+    stations: np.ndarray
+    points: np.ndarray
+    normals: np.ndarray
+    sides: np.ndarray
+    low: np.ndarray
+    is_crossed: np.ndarray
+
+    @classmethod
+    def of(cls, scene: Scene, visibility: object) -> 'ScanEvidence | None':
+        """
+        Find what a scan proves.
+
+        :param visibility: that of the engine for the scene.
+        :returns: None for rays at a mesh and for cubes, whose views are taken as they are. If a
+            scan has no stations, and a few places at the height of a tripod do not explain it, as
+            of one from hand, all space counts as crossed and all sides as scanned.
+        """
+        if not isinstance(visibility, SurfelVisibility):
+            return None
+        stations, seen = _stations_of(scene, visibility)
+        order = visibility.order
+        points, normals = scene.points[order], scene.normals_or_estimate[order]
+        low = scene.bounds[0] - CELL_M
+        is_crossed = np.full(np.ceil((scene.size + 2.0 * CELL_M) / CELL_M).astype(int),
+                             len(stations) == 0)
+        # Whether a station sees the side of the normal, and the other side.
+        is_seen = np.zeros((2, len(points)), dtype=bool)
+        for station, own in zip(stations, seen):
+            offsets = station - points
+            cosine = (offsets * normals).sum(axis=1) / np.linalg.norm(offsets, axis=1)
+            min_cosine = 0.05
+            is_seen |= own & (np.stack([cosine, -cosine]) > min_cosine)
+            cross_cells(station, points[own].astype(np.float64), low, CELL_M, is_crossed)
+        sides = is_seen[0].astype(np.int8) - is_seen[1]
+        return cls(scene, visibility.by(FINER), stations, points, normals, sides, low, is_crossed)
+
+    def proved(self, seen: np.ndarray, position: np.ndarray | None, finer: bool = True
+               ) -> np.ndarray:
+        """
+        Return the visible points whose views are proved, as packed bits: (W,) uint64.
+
+        :param seen: (W,) uint64, packed bits of the points that a camera sees.
+        :param position: (3,) metres, of the camera; None for several cameras, whose views are
+            taken as they are.
+        :param finer: whether to look at a finer map, which takes most of the time.
+        """
+        if position is None:
+            return seen
+        if finer:
+            seen = seen & self._seen_finer(np.asarray(position, dtype=np.float64).tobytes())
+        return proved_bits(seen, np.asarray(position, dtype=np.float64), self.points,
+                           self.normals, self.sides, self.low, CELL_M, self.is_crossed,
+                           MAX_UNKNOWN_M)
+
+    @cached_property
+    def _seen_finer(self) -> Callable[[bytes], np.ndarray]:
+        """Return what finds the points that are visible from a position on a finer map."""
+        def seen_finer(position: bytes) -> np.ndarray:
+            seen = no_bits(len(self.points))
+            self.visibility.look(Pose(np.frombuffer(position), LEVEL),
+                                 CameraModel(0.0, self.scene.diameter).lens, seen)
+            return seen
+        return lru_cache(maxsize=256)(seen_finer)
+
+
+def _stations_of(scene: Scene, visibility: SurfelVisibility) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Return the stations of a scan, (T, 3) metres, and which points each of them sees: (T, N) bool.
+
+    Those of the file count if they see nearly all points; a file of merged scans has the origin as
+    its only station. Otherwise they are chosen one after the other, each of a grid of places that
+    sees most of the points that the others do not see.
+    """
+    if scene.stations is not None:
+        seen = np.stack(mapped(partial(_seen_from, scene, visibility), list(scene.stations)))
+        if np.mean(~seen.any(axis=0)) <= MAX_UNSEEN_SHARE:
+            return scene.stations, seen
+    height = floor_height(scene) + STATION_HEIGHT_M
+    cells = Air(scene, FreePlane.of(scene.points, height, 1, 0.0, clearance=0.3)).cells(height)
+    # At most 400 places.
+    spacing = max(STATION_SPACING_M, float(np.sqrt(np.prod(scene.size[:2]) / 400.0)))
+    _, first = np.unique(np.floor(cells[:, :2] / spacing).astype(int), axis=0, return_index=True)
+    places, none = cells[first], (np.empty((0, 3)), np.empty((0, len(scene)), dtype=bool))
+    if len(places) == 0:
+        return none
+    seen = np.stack(mapped(partial(_seen_from, scene, visibility), list(places)))
+    chosen, left = [], np.ones(len(scene), dtype=bool)
+    while True:
+        added = np.count_nonzero(seen[:, left], axis=1)
+        best = int(np.argmax(added))
+        if added[best] < MIN_ADDED_SHARE * len(scene):
+            break
+        chosen.append(best)
+        left &= ~seen[best]
+    return (places[chosen], seen[chosen]) if left.mean() <= MAX_UNSEEN_SHARE else none
+
+
+def _seen_from(scene: Scene, visibility: SurfelVisibility, place: np.ndarray) -> np.ndarray:
+    """Return which points a scanner at a place sees: (N,) bool, in the engine's order."""
+    seen = no_bits(len(scene))
+    visibility.look(Pose(np.asarray(place, dtype=np.float64), LEVEL),
+                    CameraModel(0.0, scene.diameter).lens, seen)
+    return unpack(seen, len(scene))

@@ -1,0 +1,140 @@
+# Copyright 2026 The ocp_ros authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""What a scan proves: nothing is seen from behind, nor through what nobody has seen."""
+
+from dataclasses import replace
+
+from benchmarks.drills import file_fuzz as files
+from conftest import box_sides
+import numpy as np
+from ocp_ros.geometry.free_space import cross_cells, proved_bits
+from ocp_ros.geometry.packed_bits import pack, unpack
+from ocp_ros.rig.rig_file import rig_of
+from ocp_ros.scenes.scene import Scene, turned
+from ocp_ros.scenes.scene_files import load_scene
+from ocp_ros.simulation.problem import Problem
+import pytest
+
+#: A cabinet in the middle of a room of 6 x 4 x 2.8 m. A scanner at the side of x = 0 does not see
+#: its back.
+LOW, HIGH = np.array([2.8, 1.2, 0.0]), np.array([3.3, 2.8, 1.8])
+BEHIND = np.array([[5.2, 2.0, 1.6, np.pi, 0.0, 0.0]])
+
+
+@pytest.fixture(scope='module', params=[0.0, 35.0])
+def scene(request):
+    """Return a room with a cabinet, scanned from two stations."""
+    cabinet = box_sides(HIGH - LOW, 0.5 * (LOW + HIGH), 0.04)
+    is_back = (cabinet[:, 0] > HIGH[0] - 0.01) & (cabinet[:, 2] < HIGH[2] - 0.01)
+    points = np.concatenate([box_sides((6.0, 4.0, 2.8), (3.0, 2.0, 1.4), 0.06), cabinet[~is_back]])
+    stations = np.array([[1.0, 1.0, 2.5], [1.0, 3.2, 2.5]])
+    # Nor is the floor in the shadow of the cabinet scanned.
+    is_shadow = (points[:, 0] > HIGH[0] + 0.01) & (abs(points[:, 1] - 2.0) < 1.2) & (
+        points[:, 2] < 0.01)
+    made = Scene(points[~is_shadow].astype(np.float32), 'cabinet', stations=stations)
+    return turned(made, request.param)
+
+
+def test_what_stands_behind_an_unscanned_back_is_not_seen_through_it(scene):
+    angle = np.deg2rad(0.0 if '@' not in scene.name else float(scene.name.split('@')[1]))
+    pose = BEHIND.copy()
+    pose[0, :3] = turned(Scene(np.vstack([BEHIND[:, :3], scene.points]), 'x'),
+                         np.rad2deg(angle)).points[0]
+    pose[0, 3] += angle
+    problem = Problem.of(scene, rig_of(1, 'omnidirectional'))
+    objective = problem.objective
+    views = objective.look(pose)
+    seen = objective.evaluate_views(views).seen.mask
+    proved = objective.validation.evaluate_views(views).seen.mask
+    back = turned(replace(scene, stations=None), -np.rad2deg(angle)).points.astype(float)
+    is_front = (abs(back[:, 0] - LOW[0]) < 0.01) & (abs(back[:, 1] - 2.0) < 0.7) & (
+        abs(back[:, 2] - 0.9) < 0.8)
+    assert seen[is_front].mean() > 0.5 and proved[is_front].mean() < 0.02
+    assert not (proved & ~seen).any()
+    # What is seen from where the scanner was stays, such as the wall that both see.
+    is_wall = (back[:, 1] < 0.01) & (back[:, 0] > 2.0) & (back[:, 2] > 0.3)
+    assert proved[is_wall].mean() > 0.9 * seen[is_wall].mean() > 0.8
+    # The promise is larger by what is not proved.
+    assert objective.validation.depth_error(views) > replace_evidence(objective).depth_error(views)
+
+
+def replace_evidence(objective):
+    """Return the objective on validation viewpoints by which all views count."""
+    simulator = objective.simulator.with_validation()
+    simulator.evidence = None
+    other = objective.validation
+    lax = type(other).__new__(type(other))
+    lax.__dict__.update(other.__dict__, simulator=simulator)
+    return lax
+
+
+def test_stations_are_found_if_the_file_does_not_say_them(scene):
+    evidence = Problem.of(replace(scene, stations=None), rig_of(1, 'omnidirectional')
+                          ).objective.validation.simulator.evidence
+    assert 1 <= len(evidence.stations) <= 6
+    assert 0.3 < evidence.is_crossed.mean() < 0.95
+
+
+def test_rays_cross_cells_and_prove_views_as_a_slow_twin_says():
+    rng, edge = np.random.default_rng(0), 0.1
+    low, points = np.zeros(3), rng.uniform(0.1, 1.9, (60, 3))
+    station, position = np.array([0.3, 1.0, 1.1]), np.array([1.7, 1.0, 0.9])
+    is_crossed = np.zeros((20, 20, 20), dtype=bool)
+    cross_cells(station, points[:30], low, edge, is_crossed)
+
+    def cells(start, end, margin):
+        """Return the cells of the way to a point, two places in each."""
+        length = np.linalg.norm(end - start)
+        shares = 0.5 * edge * np.arange(int(2.0 * (length - margin * edge) / edge)) / length
+        return np.floor((start + shares[:, None] * (end - start)) / edge).astype(int)
+
+    twin = np.zeros_like(is_crossed)
+    for point in points[:30]:
+        twin[tuple(cells(station, point, 1.0).T)] = True
+    assert np.array_equal(is_crossed, twin) and twin.any()
+    normals = rng.normal(size=(60, 3))
+    normals = (normals / np.linalg.norm(normals, axis=1, keepdims=True)).astype(np.float32)
+    sides, seen = rng.integers(-1, 2, 60).astype(np.int8), rng.random(60) < 0.8
+    kept = unpack(proved_bits(pack(seen), position, points.astype(np.float32), normals, sides, low,
+                              edge, is_crossed, 0.4), 60)
+    for k, point in enumerate(points.astype(np.float32).astype(float)):
+        way = cells(position, point, 1.5)
+        cosine = (position - point) @ normals[k] / np.linalg.norm(position - point)
+        unknown = 0.5 * edge * np.count_nonzero(~twin[tuple(way.T)])
+        if abs(unknown - 0.4) > 1e-6:
+            assert kept[k] == (seen[k] and sides[k] * cosine >= -0.03 and unknown <= 0.4)
+    assert 0 < kept.sum() < seen.sum()
+
+
+def test_ptx_and_e57_files_say_where_the_scanner_stood(tmp_path):
+    rng = np.random.default_rng(0)
+    room = box_sides((6.0, 4.0, 2.8), (3.0, 2.0, 1.4), 0.2)
+    places = np.array([[1.0, 1.5, 1.6], [4.5, 2.0, 1.4]])
+    text = ''
+    for place in places:
+        axes = '1 0 0\n0 1 0\n0 0 1\n'
+        matrix = f'1 0 0 0\n0 1 0 0\n0 0 1 0\n{" ".join(map(str, place))} 1\n'
+        own = room[rng.random(len(room)) < 0.5] - place
+        text += f'{len(own)}\n1\n0 0 0\n{axes}{matrix}' + ''.join(
+            '{:.4f} {:.4f} {:.4f} 0.5\n'.format(*point) for point in own)
+    (tmp_path / 'room.ptx').write_text(text)
+    scene = load_scene(tmp_path / 'room.ptx')
+    np.testing.assert_allclose(scene.stations, places)
+    evidence = Problem.of(scene, rig_of(1, 'omnidirectional')).objective.validation.simulator
+    np.testing.assert_allclose(evidence.evidence.stations, places)
+    pytest.importorskip('pye57')
+    files.write_e57(tmp_path / 'room.e57', room, poses=[
+        (1.0, 0.0, 0.0, 0.0, *place) for place in places])
+    np.testing.assert_allclose(load_scene(tmp_path / 'room.e57').stations, places)
