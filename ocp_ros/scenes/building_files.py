@@ -22,6 +22,8 @@ triangles.
 """
 
 from collections.abc import Iterable, Iterator
+from io import BytesIO
+from itertools import islice
 from pathlib import Path
 import re
 from typing import Any, NamedTuple
@@ -29,6 +31,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from ocp_ros.scenes.measured_room import box_faces
 from ocp_ros.util import yaml_files as schema
+from ocp_ros.util.files import read_regular
 from ocp_ros.util.yaml_files import Document
 
 #: Layers of walls in floor plans, in some languages.
@@ -37,8 +40,8 @@ WALL_LAYER = re.compile('wall|wand|wänd|mur|pared|muur|vägg|seina|stena', re.I
 TRANSPARENT = ('IfcWindow', 'IfcOpeningElement', 'IfcSpace', 'IfcSite', 'IfcAnnotation', 'IfcGrid')
 #: Metres: what a storey or a space has around it, such as slabs and walls.
 AROUND_STOREY_M, AROUND_SPACE_M = 0.6, 0.35
-#: The largest number of cells of a map.
-MAX_MAP_CELLS = 50_000_000
+#: The largest number of cells of a map, of rectangles of its floor, and of pieces of its walls.
+MAX_MAP_CELLS, MAX_MAP_PARTS = 50_000_000, 200_000
 MAP = schema.mapping(
     'a map with the keys image, resolution and origin',
     {'image': 'map.pgm', 'resolution': 0.05, 'origin': [0, 0, 0]},
@@ -94,12 +97,17 @@ def read_map(document: Document, folder: Path, height: float) -> np.ndarray:
         raise document.error(
             ('image',), f'{free.sum()} free and {occupied.sum()} occupied pixels',
             'both: white floor and black walls', 'correct the thresholds or negate')
+    rectangles, edges = (list(islice(parts, MAX_MAP_PARTS + 1))
+                         for parts in (_rectangles(free), _edges_between(free, occupied)))
+    if max(len(rectangles), len(edges)) > MAX_MAP_PARTS:
+        raise document.error(('image',), f'more than {MAX_MAP_PARTS:,} pieces of floor or walls',
+                             'rooms with straight walls', 'remove the noise')
     quads = []
-    for low, high in _rectangles(free):
+    for low, high in rectangles:
         (x, y), (far_x, far_y) = low, high
         plan = np.array([(x, y), (far_x, y), (far_x, far_y), (x, far_y)], dtype=np.float64)
         quads += [np.insert(plan, 2, level, axis=1) for level in (0.0, 1.0)]
-    for start, end in _edges_between(free, occupied):
+    for start, end in edges:
         quads.append(np.array([(*start, 0.0), (*end, 0.0), (*end, 1.0), (*start, 1.0)]))
     corners = np.array(quads)[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3)
     x, y, *yaw = data['origin']
@@ -118,7 +126,8 @@ def _map_cells(document: Document, folder: Path) -> tuple[np.ndarray, np.ndarray
         raise document.error(('image',), repr(name), 'a file in the same folder',
                              'move the image there, and correct its name')
     try:
-        with Image.open(folder / name, formats=('PPM', 'PNG', 'BMP')) as image:
+        content = BytesIO(read_regular(folder / name))
+        with Image.open(content, formats=('PPM', 'PNG', 'BMP')) as image:
             if image.width * image.height > MAX_MAP_CELLS:
                 raise document.error(
                     ('image',), f'{image.width} x {image.height} pixels',

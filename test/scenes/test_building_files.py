@@ -14,6 +14,8 @@
 
 """Test rooms from occupancy maps, floor plans, models of buildings and stages."""
 
+import os
+
 import numpy as np
 from ocp_ros.scenes.scene import SceneError
 from ocp_ros.scenes.scene_files import load_scene
@@ -60,6 +62,15 @@ def test_occupancy_map_has_walls_of_the_given_height(tmp_path):
     assert not has_points_near(scene, (2.75, 1.4, 0.0), 0.3)
     turned = load_scene(write_map(tmp_path, origin=[-0.5, -0.5, np.pi / 2]), height=2.5)
     assert np.ptp(turned.points[:, 0]) == pytest.approx(4.5, abs=0.02)
+
+
+def test_maps_that_are_noise_or_wait_for_ever_are_refused(tmp_path):
+    os.mkfifo(tmp_path / 'pipe.pgm')
+    pixels = np.random.default_rng(0).integers(2, size=(1000, 1000), dtype=np.uint8)
+    Image.fromarray(255 * pixels).save(tmp_path / 'noise.pgm')
+    for image, words in (('pipe.pgm', 'a pipe'), ('noise.pgm', 'noise')):
+        with pytest.raises(SceneError, match=words):
+            load_scene(write_map(tmp_path, image=image), height=2.5)
 
 
 def test_floor_plan_in_millimetres(tmp_path):
