@@ -24,7 +24,6 @@ from ocp_ros.cli.arguments import (
     add_overwrite,
     add_placement,
     add_reading,
-    add_room,
     read_frame_prefix,
     room_asked,
 )
@@ -44,18 +43,30 @@ if TYPE_CHECKING:
     import numpy as np
 
 
+#: The file with what all cameras see together, without a scan.
+FUSED = 'room.ply'
+
+
 def add_arguments(commands: Commands) -> None:
     """Add ``ocp calibrate``."""
     command = commands.add(
         JUDGE, 'calibrate', 'find where cameras hang by what they see',
         'ocp calibrate room.ply placement.yaml --clouds door.ply window.ply --out out/built')
-    add_room(command)
-    add_placement(command)
+    command.add_argument('room', metavar='ROOM', nargs='?', help='a scan, or the seed of a '
+                         'generated room; without ROOM and PLACEMENT, cameras are registered to '
+                         'each other')
+    add_placement(command, nargs='?')
+    command.add_argument('--against', type=Path, metavar='PLACEMENT', help='find out which '
+                         'cameras have moved since the run that wrote this placement, and how to '
+                         'put them back; without ROOM and PLACEMENT')
     group = command.add_mutually_exclusive_group(required=True)
     group.add_argument('--clouds', nargs='+', metavar='[CAMERA=]FILE',
-                       help='one cloud of each camera, in metres; without CAMERA=, the name of '
-                       'the file is the name of the camera')
+                       help='a cloud of each camera, or a folder with frames of it, in metres; '
+                       'without CAMERA=, the name of the file or folder is the name of the camera'
+                       )
     group.add_argument('--bag', type=Path, help='a ROS bag with a topic of clouds for each camera')
+    command.add_argument('--sensor', help='without PLACEMENT: preset of all cameras; default: '
+                         'field of view and range as in the clouds')
     command.add_argument('--topics', nargs='+', default=(), metavar='CAMERA=TOPIC',
                          help='topics of the bag; default: the topics whose names contain the '
                          'names of the cameras, otherwise all topics in their order')
@@ -79,12 +90,15 @@ def run(arguments: argparse.Namespace) -> Found:
     """Register each camera that has a cloud, write the poses and return the results."""
     from ocp_ros.formats.exported import Exported
     from ocp_ros.formats.exports import export, FORMATS, formats_named, WRITTEN
-    from ocp_ros.registration.calibration import answer_of, as_built, calibrate
-    from ocp_ros.registration.scan_surfaces import ScanSurfaces
+    from ocp_ros.registration.calibration import by_scan, since_reference, without_scan
+    from ocp_ros.registration.movement import load_references, REFERENCES, save_references
     from ocp_ros.rig.placement_file import load_placement
     from ocp_ros.rig.rig_file import load_rig
+    from ocp_ros.scenes.scene import Scene
+    from ocp_ros.scenes.scene_files import save_scene
     from ocp_ros.util.files import file_set, folder_to_write, write_atomically
     # Check the command line and read the inputs. A text of ``--clouds`` is FILE or CAMERA=FILE.
+    _check_mode(arguments)
     inputs = [arguments.bag] if arguments.bag else [
         text.partition('=')[2] or text for text in arguments.clouds]
     formats, figures_name = formats_named(arguments.export, '--export'), 'calibration.json'
@@ -92,34 +106,58 @@ def run(arguments: argparse.Namespace) -> Found:
         raise ConfigurationError(
             f'--export: found {drawn[0]}, which is about the whole room; expected other formats; '
             'run ocp score with the placement as built')
-    claim_folder(arguments, arguments.out, (*WRITTEN, figures_name), figures_name, inputs)
+    names_of_set = (*WRITTEN, FUSED, REFERENCES, figures_name)
+    claim_folder(arguments, arguments.out, names_of_set, figures_name, [
+        *inputs, *([arguments.against] if arguments.against else [])])
     rig = load_rig(arguments.rig) if arguments.rig else None
-    placement = load_placement(arguments.placement, rig)
-    names = [placed.camera.name for placed in placement.cameras]
+    placement = None
+    if path := arguments.placement or arguments.against:
+        placement = load_placement(path, rig)
+    names = [placed.camera.name for placed in placement.cameras] if placement else None
     clouds = clouds_of(arguments, names)
     folder_to_write(arguments.out)
-    # A generated room has this number of points; 0 stands for all points of a scan.
-    points = 120_000 if arguments.room.isdecimal() else 0
-    scene, _ = room_asked(arguments, {**placement.room, 'points': points})
-    # Calibrate: cameras without a registration have a reason in ``failures``, or no cloud.
-    calibrations, failures = calibrate(ScanSurfaces(scene), placement, clouds)
-    built = as_built(placement, calibrations, command_of(arguments.argv))
-    rows = [answer_of(placed, calibrations[name]) if name in calibrations else
-            {'camera': name, 'refused': failures.get(name, 'it has no cloud')}
-            for name, placed in zip(names, placement.cameras)]
+    command = command_of(arguments.argv)
+    if placement is None:
+        found = without_scan(clouds, arguments.sensor or '', command)
+    elif arguments.against:
+        references = load_references(arguments.against.with_name(REFERENCES))
+        found = since_reference(placement, references, clouds, command)
+    else:
+        # A generated room has this number of points; 0 stands for all points of a scan.
+        points = 120_000 if arguments.room.isdecimal() else 0
+        scene, _ = room_asked(arguments, {**placement.room, 'points': points})
+        found = by_scan(scene, placement, clouds, command)
+    rows = found.rows
     result: Found = {'cameras': rows, 'written': []}
     # Write the files, without refused cameras except for the placement.
-    with file_set(arguments.out, (*WRITTEN, figures_name), figures_name) as unfinished:
+    with file_set(arguments.out, names_of_set, figures_name) as unfinished:
         refused = [row['camera'] for row in rows if row['refused']]
-        result |= export(unfinished, Exported(built, arguments.frame_prefix, refused), formats)
-        result['written'] += [str(arguments.out / figures_name)]
+        result |= export(unfinished, Exported(found.placement, arguments.frame_prefix, refused),
+                         formats)
+        if found.fused is not None:
+            save_scene(Scene(found.fused), unfinished / FUSED)
+        save_references(unfinished / REFERENCES, found.references)
+        result['written'] += [str(arguments.out / name) for name in (
+            *([FUSED] if found.fused is not None else []), REFERENCES, figures_name)]
         write_atomically(unfinished / figures_name, json_text(result) + '\n')
     if all(row['refused'] for row in rows):
         result['error'] = (
-            f'{arguments.placement}: found no camera that could be calibrated ('
-            + '; '.join(f'{row["camera"]}: {row["refused"]}' for row in rows)
+            f'{arguments.placement or arguments.against}: found no camera that could be '
+            'calibrated (' + '; '.join(f'{row["camera"]}: {row["refused"]}' for row in rows)
             + '); expected one at least; correct that')
     return result
+
+
+def _check_mode(arguments: argparse.Namespace) -> None:
+    """Raise an error for options of different ways to calibrate."""
+    given = [name for name, value in (('ROOM', arguments.room), (
+        'PLACEMENT', arguments.placement), ('--against', arguments.against),
+        ('--sensor', arguments.sensor)) if value]
+    if given not in ([], ['--sensor'], ['--against'], ['ROOM', 'PLACEMENT']):
+        raise ConfigurationError(
+            f'ocp calibrate: found {" and ".join(given)}; expected ROOM and PLACEMENT to register '
+            'cameras to a scan, --against to find out which have moved, or none of these to '
+            'register cameras to each other; name what you have')
 
 
 def show(result: Found) -> None:
@@ -129,19 +167,23 @@ def show(result: Found) -> None:
     # The six deviations are three along axes, then three about axes, each three the largest first.
     rows = [(row['camera'], ', '.join(f'{value:.3f}' for value in row['position']),
              ', '.join(f'{row[angle]:.1f}' for angle in ('yaw', 'pitch', 'roll')),
-             f'{row["moved_metres"]:.3f} m, {row["moved_degrees"]:.1f}°',
+             f'{row["moved_metres"]:.3f} m, {row["moved_degrees"]:.1f}°'
+             if 'moved_metres' in row else '',
              f'{1000.0 * row["deviations"][0]["metres"]:.1f} mm, '
-             f'{row["deviations"][3]["degrees"]:.2f}°',
-             f'{1000.0 * row["residual"]:.1f} mm', f'{100.0 * row["overlap"]:.0f} %')
+             f'{row["deviations"][3]["degrees"]:.2f}°' if 'deviations' in row else '',
+             f'{100.0 * row["overlap"]:.0f} %')
             for row in result['cameras'] if not row['refused']]
     if rows:
         print_table(console, 'As built', (
             'camera', 'position (m)', 'yaw, pitch, roll', 'moved', 'standard deviation',
-            'residual', 'overlap'), rows)
+            'overlap'), rows)
     for row in result['cameras']:
         if row.get('note'):
             console.print(f'note: {row["camera"]}: {row["note"]}', style='yellow', markup=False,
                           highlight=False)
+        if row.get('put_back'):
+            console.print(f'moved: {row["camera"]}: to put it back, {row["put_back"]}',
+                          style='yellow', markup=False, highlight=False)
         if row.get('otherwise'):
             console.print(f'note: {row["camera"]}: {row["otherwise"]}; correct the placement or '
                           'the option', style='yellow', markup=False, highlight=False)
@@ -151,18 +193,22 @@ def show(result: Found) -> None:
     show_written({'written': result['written']})
 
 
-def clouds_of(arguments: argparse.Namespace, names: Sequence[str]) -> 'dict[str, np.ndarray]':
+def clouds_of(arguments: argparse.Namespace, names: Sequence[str] | None
+              ) -> 'dict[str, np.ndarray]':
     """
     Read the clouds of cameras.
 
     :param arguments: with ``cloud_frame``, and with ``clouds``, or ``bag`` and ``topics``.
-    :param names: names of the cameras.
+    :param names: names of the cameras; None if the clouds name them.
     :returns: by camera, the N points of its cloud: (N, 3) metres, body frame (x forward, z up).
     :raises ConfigurationError: if the camera of a cloud is not clear, or there is no cloud.
     """
     from ocp_ros.geometry.cameras import TO_BODY
+    from ocp_ros.registration.steady_cloud import steady_cloud
     from ocp_ros.scenes.scene_files import load_cloud
     if arguments.bag:
+        if names is None:
+            names = [text.partition('=')[0] for text in arguments.topics]
         try:
             from ocp_ros.ros.bags.recorded_clouds import recorded_clouds
         except ImportError as error:
@@ -181,10 +227,24 @@ def clouds_of(arguments: argparse.Namespace, names: Sequence[str]) -> 'dict[str,
             raise ConfigurationError(f'--clouds: found two files of {name}; expected one for each '
                                      'camera; leave one out')
         files[name] = Path(path)
-    check_known(files, names, '--clouds, cameras')
-    clouds = {name: load_cloud(path) for name, path in files.items()}
+    if names is not None:
+        check_known(files, names, '--clouds, cameras')
     rotation = TO_BODY[arguments.cloud_frame or 'optical']
-    return {name: points @ rotation.T for name, points in clouds.items()}
+    return {name: steady_cloud([load_cloud(one) for one in _frames_in(path)]) @ rotation.T
+            for name, path in files.items()}
+
+
+def _frames_in(path: Path) -> list[Path]:
+    """Return up to 30 files of a folder, spread evenly in the order of their names; or a file."""
+    from ocp_ros.registration.steady_cloud import MAX_FRAMES
+    if not path.is_dir():
+        return [path]
+    files = sorted(one for one in path.iterdir() if one.is_file() and one.name[0] != '.')
+    if not files:
+        raise ConfigurationError(f'{path}: found no file in this folder; expected frames of a '
+                                 'camera, one a file; name another folder')
+    count = min(len(files), MAX_FRAMES)
+    return [files[k * len(files) // count] for k in range(count)]
 
 
 def _split_pair(text: str, option: str, kind: str) -> tuple[str, str]:

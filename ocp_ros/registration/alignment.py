@@ -19,26 +19,19 @@ The method is iteratively reweighted least squares (Chen and Medioni, 1992) with
 Geman and McClure, which gives points far from their surface little weight. A point is matched only
 to a surface that faces the camera and has a similar normal. Everywhere, S is the number of poses,
 M that of measured points and N that of surface points.
-
-The certainty of a pose is estimated in each of the six directions in which it may be wrong.
-Neighbouring points have common errors, since they belong to one panel or one frame of the scan. So
-the points are grouped into blocks with an edge of one metre, and the number of blocks counts, not
-the number of points. The covariance of the pose has two terms. One is that of the delete-a-group
-jackknife: how much the pose changes if one block is left out. The other is that of blocks with
-independent errors as large as those observed.
 """
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
+from ocp_ros.geometry.cameras import Pose
 from ocp_ros.util.annealing import between
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 #: The least cosine between the normals of a point and its match: 60 degrees.
 MIN_NORMAL_COSINE = 0.5
-#: The number of points of a whole block.
-WHOLE_BLOCK_POINTS = 8.0
 #: The deviation of an unconstrained camera, in metres and in radians.
 FREE_DEVIATION = 10.0
 
@@ -53,6 +46,11 @@ class Poses(NamedTuple):
 
     rotations: np.ndarray
     positions: np.ndarray
+
+    @classmethod
+    def of(cls, pose: Pose) -> 'Poses':
+        """Return one pose, S = 1."""
+        return cls(pose.rotation[None], pose.position[None])
 
     def subset(self, indices: np.ndarray) -> 'Poses':
         """Return the poses with the given indices (K,)."""
@@ -233,12 +231,35 @@ class Certainty(NamedTuple):
     :ivar metres: (3,) deviations along these axes, the largest first.
     :ivar turn_axes: (3, 3), one axis a row: axes of a possible rotation, map frame.
     :ivar degrees: (3,) deviations about these axes, the largest first.
+    :ivar held_by: for each of the six axes, displacements first: the share of what holds the
+        camera there, by name: ``scan`` or another camera; empty where nothing does.
     """
 
     slide_axes: np.ndarray
     metres: np.ndarray
     turn_axes: np.ndarray
     degrees: np.ndarray
+    held_by: tuple[dict[str, float], ...] = ({},) * 6
+
+    @classmethod
+    def of(cls, covariance: np.ndarray, sources: Mapping[str, np.ndarray]) -> 'Certainty':
+        """
+        Return the deviations of a pose.
+
+        :param covariance: (6, 6) of a rotation about the map axes, radians, and a displacement
+            along them, metres.
+        :param sources: by the name of what holds the camera: its information matrix (6, 6).
+        """
+        slide_axes, metres = _principal_axes(covariance[3:, 3:])
+        turn_axes, radians = _principal_axes(covariance[:3, :3])
+        still = np.zeros((3, 3))
+        held_by = []
+        for axis in np.vstack([np.hstack([still, slide_axes]), np.hstack([turn_axes, still])]):
+            amounts = {name: float(axis @ one @ axis) for name, one in sources.items()}
+            total = sum(amounts.values())
+            held_by.append({name: amount / total for name, amount in amounts.items()
+                            if amount > 0.01 * total})
+        return cls(slide_axes, metres, turn_axes, np.rad2deg(radians), tuple(held_by))
 
     def with_doubts(self, overlap: float, displaced_share: float) -> 'Certainty':
         """
@@ -279,72 +300,6 @@ def axis_name(axis: np.ndarray) -> str:
     # The largest component is positive; adding 0.0 turns -0.0 into 0.0 for the text.
     axis = axis * np.sign(axis[largest]) + 0.0
     return 'the line ' + ', '.join(f'{value:.2f}' for value in axis)
-
-
-def estimate_certainty(points: np.ndarray, normals: np.ndarray, matches: Matches,
-                       weights: np.ndarray) -> Certainty:
-    """
-    Return the expected deviations of a registered pose.
-
-    :param points: (M, 3) the surface points matched to M measured points, metres, map frame.
-    :param normals: (M, 3) the unit normals of these surface points.
-    :param matches: the matches of the pose with these M points, S = 1.
-    :param weights: (1, M), see :func:`weights_of`.
-    """
-    jacobians, weights = matches.jacobians[0], weights[0]
-    # Points of almost no weight are left out.
-    used = weights > 1e-9 * max(weights.max(), 1e-9)
-    # A block has an edge of a metre and one main axis of the normals.
-    cells = np.column_stack([np.floor(points[used]), np.abs(normals[used]).argmax(axis=1)])
-    blocks = np.unique(cells, axis=0, return_inverse=True)[1].ravel()
-    count = int(blocks.max(initial=-1)) + 1
-    weighted = jacobians[used] * weights[used, None]
-    # Information matrix and gradient of each block.
-    information, gradients = np.zeros((count, 6, 6)), np.zeros((count, 6))
-    np.add.at(information, blocks, weighted[:, :, None] * jacobians[used][:, None])
-    np.add.at(gradients, blocks, weighted * matches.residuals[0, used, None])
-    total_weight = np.bincount(blocks, weights[used], count)
-    # A weak prior keeps unconstrained directions solvable.
-    prior = np.eye(6) / FREE_DEVIATION ** 2
-    # The mean of the squared residuals of each block.
-    mean_square = np.bincount(
-        blocks, weights[used] * matches.residuals[0, used] ** 2, count) / total_weight
-    # A fifth of the variance within a block is common to its points.
-    variance = _block_deviation(matches.residuals[0, used], blocks) ** 2 + 0.2 * mean_square
-    # A whole block counts as one measurement with this variance, a block of few points as less.
-    fill_share = np.minimum(np.bincount(blocks, minlength=count) / WHOLE_BLOCK_POINTS, 1.0)
-    independent = (information * (fill_share / total_weight / variance)[:, None, None]).sum(axis=0)
-    covariance = np.linalg.inv(independent + prior)
-    # The jackknife: the step of the pose if each block is left out. The gradients of all blocks
-    # add up to about 0, so that of the others is the opposite of that of the block. The prior is
-    # converted from the information of independent blocks to that of all points.
-    scale = np.trace(independent) / max(np.trace(information.sum(axis=0)), 1e-30)
-    others = information.sum(axis=0) - information
-    steps = np.linalg.solve(others + prior / max(scale, 1e-12), gradients[..., None])[..., 0]
-    covariance = covariance + (count - 1) / max(count, 1) * steps.T @ steps
-    slide_axes, metres = _principal_axes(covariance[3:, 3:])
-    turn_axes, radians = _principal_axes(covariance[:3, :3])
-    return Certainty(slide_axes, metres, turn_axes, np.rad2deg(radians))
-
-
-def _block_deviation(residuals: np.ndarray, blocks: np.ndarray) -> float:
-    """
-    Return the standard deviation of the error that the points of a block have in common, metres.
-
-    :param residuals: (M,) metres, of M points.
-    :param blocks: (M,) the number of the block of each point.
-    :returns: at least 3 mm; 2 cm if fewer than four blocks are whole.
-    """
-    # The medians of the residuals in whole blocks.
-    ends = np.cumsum(np.bincount(blocks))[:-1]
-    groups = np.split(residuals[np.argsort(blocks, kind='stable')], ends)
-    medians = [np.median(group) for group in groups if len(group) >= WHOLE_BLOCK_POINTS]
-    # Fewer than four whole blocks do not show how accurate the scan is: 2 cm are assumed.
-    if len(medians) < 4:
-        return 0.02
-    # Few panels were scanned from the other side, so the median ignores their errors.
-    # 1.4826 is the standard deviation of a normal distribution over its median absolute deviation.
-    return max(1.4826 * float(np.median(np.abs(medians))), 0.003)
 
 
 def _principal_axes(covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -19,22 +19,34 @@ from contextlib import suppress
 from copy import deepcopy
 from dataclasses import replace
 import logging
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from ocp_ros.geometry.cameras import (
+    CameraModel,
     heading_of,
     OPTICAL_TO_BODY,
     Pose,
     rotation_matrix,
     TO_BODY,
 )
-from ocp_ros.registration.camera_registration import register, registered_nearby, Registration
+from ocp_ros.geometry.clouds import voxel_downsample
+from ocp_ros.registration.alignment import Certainty
+from ocp_ros.registration.camera_registration import (
+    register,
+    register_together,
+    registered_nearby,
+    Registration,
+)
 from ocp_ros.registration.live_view import LiveView
+from ocp_ros.registration.movement import movement_since, sentence_of, way_back
+from ocp_ros.registration.mutual_registration import register_mutually
 from ocp_ros.registration.scan_surfaces import ScanSurfaces
-from ocp_ros.rig.placement_file import ANGLES, created_by, FIXED, Placed, Placement
-from ocp_ros.rig.rig_file import Rig, rig_from
-from ocp_ros.scenes.scene import SceneError
+from ocp_ros.rig.placement_file import ANGLES, created_by, FIXED, Placed, placed_at, Placement
+from ocp_ros.rig.rig_file import Camera, Rig, rig_from, sensor_named
+from ocp_ros.rig.sensors import SENSORS
+from ocp_ros.scenes.scene import Scene, SceneError
+from ocp_ros.util.settings import ConfigurationError
 from ocp_ros.util.yaml_files import Document
 
 OPENGL = ('its cloud has x right, y up and z backward, as the RealSense Viewer writes it '
@@ -52,34 +64,45 @@ OTHER_SETUPS = (
     (OPENGL, 0.0, TO_BODY['opengl']))
 #: The largest number of cameras whose clouds are tried at the poses of each other.
 MAX_EXCHANGED = 8
+#: Metres: the edge of the voxels of what cameras see together.
+FUSED_VOXEL_M = 0.02
 
 
 _log = logging.getLogger(__name__)
 
 
-def calibrate(scan: ScanSurfaces, placement: Placement, clouds: Mapping[str, np.ndarray]
-              ) -> tuple[dict[str, Registration], dict[str, str]]:
+def calibrate(scan: ScanSurfaces, placement: Placement, clouds: Mapping[str, np.ndarray],
+              jointly: bool = True) -> tuple[dict[str, Registration], dict[str, str]]:
     """
     Register each camera that has a cloud, starting at its pose in the placement.
 
     :param scan: the scan of the room, in the frame of the placement.
     :param placement: the planned or measured placement.
-    :param clouds: the clouds (N, 3), metres, body frame, by the camera's name.
+    :param clouds: the clouds (N, 3), metres, body frame, by the camera's name; of several frames
+        see :func:`~ocp_ros.registration.steady_cloud.steady_cloud`.
+    :param jointly: whether cameras are registered to each other as well.
     :returns: the registrations, and for unusable clouds the reasons, both by the camera's name.
     """
-    registrations, reasons = _for_each_camera(_register_camera, scan, placement, clouds)
-    return _with_other_setups(scan, placement, clouds, registrations), reasons
+    registrations, reasons = _for_each_camera(register, scan, placement, clouds)
+    found, used = _with_other_setups(scan, placement, clouds, registrations)
+    if jointly:
+        models = {one.camera.name: one.camera.model for one in placement.cameras}
+        views = {name: (LiveView(used[name], models[name], name), models[name]) for name in found}
+        found = register_together(scan, views, found)
+    return found, reasons
 
 
-def _for_each_camera(register_camera: Callable[[ScanSurfaces, np.ndarray, Placed], Registration],
-                     scan: ScanSurfaces, placement: Placement, clouds: Mapping[str, np.ndarray]
-                     ) -> tuple[dict[str, Registration], dict[str, str]]:
+def _for_each_camera(
+        register_camera: Callable[[ScanSurfaces, LiveView, Pose, CameraModel], Registration],
+        scan: ScanSurfaces, placement: Placement, clouds: Mapping[str, np.ndarray]
+        ) -> tuple[dict[str, Registration], dict[str, str]]:
     """Call a function for each camera that has a cloud; see :func:`calibrate` for the rest."""
     registrations, reasons = {}, {}
     for placed in [one for one in placement.cameras if one.camera.name in clouds]:
-        name = placed.camera.name
+        name, model = placed.camera.name, placed.camera.model
         try:
-            registrations[name] = register_camera(scan, clouds[name], placed)
+            registrations[name] = register_camera(
+                scan, LiveView(clouds[name], model, name), Pose.of(placed.pose), model)
         except SceneError as error:
             reasons[name] = str(error)
         except Exception as error:  # The other cameras keep their results.
@@ -89,26 +112,16 @@ def _for_each_camera(register_camera: Callable[[ScanSurfaces, np.ndarray, Placed
     return registrations, reasons
 
 
-def _register_camera(scan: ScanSurfaces, cloud: np.ndarray, placed: Placed) -> Registration:
-    """
-    Register a camera as the placement describes it.
-
-    :param cloud: (N, 3) metres, body frame.
-    :raises SceneError: if the cloud cannot be used.
-    """
-    model = placed.camera.model
-    view = LiveView(cloud, model, placed.camera.name)
-    return register(scan, view, Pose.of(placed.pose), model)
-
-
 def _with_other_setups(scan: ScanSurfaces, placement: Placement, clouds: Mapping[str, np.ndarray],
-                       registrations: Mapping[str, Registration]) -> dict[str, Registration]:
+                       registrations: Mapping[str, Registration]
+                       ) -> tuple[dict[str, Registration], dict[str, np.ndarray]]:
     """
     Register cameras whose clouds do not match the scan with other clouds, mountings and axes.
 
-    :returns: the registrations, with those that fit otherwise in place of those that do not match.
+    :returns: the registrations, with those that fit otherwise in place of those that do not match;
+        and the clouds used, (N, 3) metres, body frame, by the camera's name.
     """
-    found = dict(registrations)
+    found, used = dict(registrations), dict(clouds)
     mismatched = [placed for placed in placement.cameras if placed.camera.name in found
                   and found[placed.camera.name].mismatched]
     for placed in mismatched:
@@ -129,9 +142,9 @@ def _with_other_setups(scan: ScanSurfaces, placement: Placement, clouds: Mapping
                 rolled = Pose(start.position, start.rotation @ rotation_matrix(roll=roll))
                 other = register(scan, LiveView(points, model, name), rolled, model)
                 if not other.refused:
-                    found[name] = other._replace(actual_setup=description)
+                    found[name], used[name] = other._replace(actual_setup=description), points
                     break
-    return found
+    return found, used
 
 
 def drift(scan: ScanSurfaces, placement: Placement, clouds: Mapping[str, np.ndarray]) -> list[str]:
@@ -146,7 +159,7 @@ def drift(scan: ScanSurfaces, placement: Placement, clouds: Mapping[str, np.ndar
     :param placement: the placement as built.
     :param clouds: the clouds (N, 3), metres, body frame, by the camera's name.
     """
-    registrations, reasons = _for_each_camera(_register_nearby, scan, placement, clouds)
+    registrations, reasons = _for_each_camera(registered_nearby, scan, placement, clouds)
     sentences = list(reasons.values())
     poses = {placed.camera.name: Pose.of(placed.pose) for placed in placement.cameras}
     for name, registration in registrations.items():
@@ -163,11 +176,165 @@ def drift(scan: ScanSurfaces, placement: Placement, clouds: Mapping[str, np.ndar
     return sentences
 
 
-def _register_nearby(scan: ScanSurfaces, cloud: np.ndarray, placed: Placed) -> Registration:
-    """Register a camera that has hardly moved; see :func:`_register_camera`."""
-    model = placed.camera.model
-    view = LiveView(cloud, model, placed.camera.name)
-    return registered_nearby(scan, view, Pose.of(placed.pose), model)
+class Calibrated(NamedTuple):
+    """
+    The result of a calibration.
+
+    :ivar placement: the cameras where they hang.
+    :ivar rows: of each camera, plain data for JSON; without a pose if ``refused`` is not empty.
+    :ivar references: the clouds to find out by later whether a camera has moved, by its name.
+    :ivar fused: (N, 3) metres, what all cameras see together; None with a scan.
+    """
+
+    placement: Placement
+    rows: list[dict[str, Any]]
+    references: dict[str, np.ndarray]
+    fused: np.ndarray | None = None
+
+
+def by_scan(scene: Scene, placement: Placement, clouds: Mapping[str, np.ndarray], command: str
+            ) -> Calibrated:
+    """
+    Register cameras to a scan and to each other; see :func:`calibrate`.
+
+    :param command: the command line, for the record.
+    """
+    found, failures = calibrate(ScanSurfaces(scene), placement, clouds)
+    rows = [answer_of(placed, found[name]) if (name := placed.camera.name) in found else
+            {'camera': name, 'refused': failures.get(name, 'it has no cloud')}
+            for placed in placement.cameras]
+    refused = {row['camera'] for row in rows if row['refused']}
+    return Calibrated(as_built(placement, found, command), rows, {
+        name: cloud for name, cloud in clouds.items() if name not in refused})
+
+
+def without_scan(clouds: Mapping[str, np.ndarray], sensor: str, command: str) -> Calibrated:
+    """
+    Register cameras to each other.
+
+    :param clouds: the clouds (N, 3), metres, body frame, by the camera's name.
+    :param sensor: the preset of all cameras; '' to measure field of view and range in the clouds.
+    :param command: the command line, for the record.
+    :raises ConfigurationError: if the sensor is unknown, or fewer than two cameras agree.
+    """
+    if sensor:
+        sensor = sensor_named(sensor)
+    models = {name: SENSORS[sensor].model if sensor else model_of_cloud(cloud)
+              for name, cloud in clouds.items()}
+    views, reasons = {}, {}
+    for name, cloud in clouds.items():
+        try:
+            views[name] = LiveView(cloud, models[name], name)
+        except SceneError as error:
+            reasons[name] = str(error)
+    found, failures = register_mutually(views)
+    reasons |= failures
+    placed, rows, fused = [], [], []
+    for name in clouds:
+        row = {'camera': name, 'refused': found[name].refused if name in found else reasons[name]}
+        if not row['refused']:
+            one = found[name]
+            pose = np.concatenate([one.pose.position, heading_of(one.pose.rotation)])
+            placed.append(placed_at(Camera(name, sensor, models[name]), pose, 'free'))
+            fused.append(views[name].points @ one.pose.rotation.T + one.pose.position)
+            row |= {'overlap': one.overlap, 'lead': one.lead, **_deviations(one.certainty),
+                    **_pose_of(one.pose)}
+        rows.append(row)
+    if not placed:
+        raise ConfigurationError('--clouds: found no two cameras that agree (' + '; '.join(
+            f'{row["camera"]}: {row["refused"]}' for row in rows) + '); expected cameras that see '
+            'the floor and some of the same things; turn them, or give a scan')
+    placement = Placement(tuple(placed), created={**created_by(command), 'calibrated': ', '.join(
+        one.camera.name for one in placed)})
+    return Calibrated(placement, rows, {one.camera.name: clouds[one.camera.name]
+                                        for one in placed},
+                      voxel_downsample(np.concatenate(fused), FUSED_VOXEL_M))
+
+
+def calibrate_mutually(placement: Placement, clouds: Mapping[str, np.ndarray]
+                       ) -> tuple[dict[str, Registration], dict[str, str]]:
+    """
+    Register cameras to each other; the most certain one stays where the placement has it.
+
+    :returns: as :func:`calibrate`.
+    """
+    placed = {one.camera.name: one for one in placement.cameras}
+    views, reasons = {}, {}
+    for name, cloud in clouds.items():
+        try:
+            views[name] = LiveView(cloud, placed[name].camera.model, name)
+        except SceneError as error:
+            reasons[name] = str(error)
+    found, failures = register_mutually(views)
+    registrations: dict[str, Registration] = {}
+    if found:
+        base = min(found, key=lambda name: found[name].certainty.metres[0])
+        place = Pose.of(placed[base].pose)
+        # The level frame of the rig in that of the placement.
+        turn = place.rotation @ found[base].pose.rotation.T
+        for name, one in found.items():
+            pose = Pose(place.position + turn @ (one.pose.position - found[base].pose.position),
+                        turn @ one.pose.rotation)
+            certainty = one.certainty._replace(slide_axes=one.certainty.slide_axes @ turn.T,
+                                               turn_axes=one.certainty.turn_axes @ turn.T)
+            registrations[name] = Registration(
+                pose, np.nan, one.overlap, 0.0, certainty, 0.0, 0.0, one.refused)
+    return registrations, {**reasons, **failures}
+
+
+def model_of_cloud(points: np.ndarray) -> CameraModel:
+    """Return a camera whose field of view and range contain nearly all points (N, 3), metres."""
+    points = points[np.isfinite(points).all(axis=1) & (points != 0.0).any(axis=1)]
+    if len(points) == 0:
+        return CameraModel()
+    azimuth = np.abs(np.arctan2(points[:, 1], points[:, 0]))
+    elevation = np.abs(np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1])))
+    distance = np.linalg.norm(points, axis=1)
+    horizontal, vertical = (2.0 * float(np.percentile(angle, 99.8))
+                            for angle in (azimuth, elevation))
+    # 1e-3: points of a single direction still need a field of view.
+    return CameraModel(0.0, float(np.percentile(distance, 99.9)) * 1.02 + 1e-3,
+                       max(horizontal, 1e-3), min(max(vertical, 1e-3), np.pi))
+
+
+def since_reference(placement: Placement, references: Mapping[str, np.ndarray],
+                    clouds: Mapping[str, np.ndarray], command: str) -> Calibrated:
+    """
+    Find out which cameras have moved since an earlier calibration.
+
+    :param placement: the placement as built then.
+    :param references: the clouds (N, 3) of that time, metres, body frame, by the camera's name.
+    :param clouds: the present clouds.
+    :param command: the command line, for the record.
+    :returns: cameras that have moved at their present poses; others as they were.
+    """
+    rows, cameras, kept = [], [], dict(references)
+    for placed in placement.cameras:
+        name, reference = placed.camera.name, Pose.of(placed.pose)
+        row: dict[str, Any] = {'camera': name, 'refused': ''}
+        try:
+            if name not in clouds or name not in references:
+                raise SceneError('it has no cloud' if name in references else
+                                 'it has no reference: calibrate it once without --against')
+            movement = movement_since(*(LiveView(one[name], placed.camera.model, name)
+                                        for one in (references, clouds)))
+            if movement.is_lost:
+                raise SceneError(sentence_of(name, movement, reference))
+            if movement.has_moved:
+                pose = movement.pose_now(reference)
+                placed = placed_at(placed.camera, np.concatenate(
+                    [pose.position, heading_of(pose.rotation)]), placed.mount)
+                row['put_back'] = way_back(movement, reference)
+                kept[name] = clouds[name]
+            row |= {'overlap': movement.agreement, 'moved': movement.has_moved,
+                    'moved_metres': movement.metres, 'moved_degrees': movement.degrees,
+                    **_pose_of(Pose.of(placed.pose))}
+        except SceneError as error:
+            row['refused'] = str(error)
+        rows.append(row)
+        cameras.append(placed)
+    built = _with_cameras(placement, cameras, created_by(command))
+    return Calibrated(built, rows, kept)
 
 
 def as_built(placement: Placement, found: Mapping[str, Registration], command: str) -> Placement:
@@ -178,16 +345,22 @@ def as_built(placement: Placement, found: Mapping[str, Registration], command: s
     :param found: the registrations by the camera's name, see :func:`calibrate`.
     :param command: the command line, for the record.
     """
-    cameras = tuple(_at_registered_pose(placed, found) for placed in placement.cameras)
-    rig = placement.rig and _with_fixed_poses(placement.rig, [
-        placed for placed in cameras if placed.mount == FIXED])
     calibrated = [name for name, registration in found.items() if not registration.refused]
     created = {**created_by(command, placement.created.get('planner', '')),
                'calibrated': ', '.join(calibrated)}
+    return _with_cameras(
+        placement, [_at_registered_pose(placed, found) for placed in placement.cameras], created)
+
+
+def _with_cameras(placement: Placement, cameras: list[Placed], created: dict[str, str]
+                  ) -> Placement:
+    """Return a placement with its cameras at other poses, also those in place."""
+    rig = placement.rig and _with_fixed_poses(placement.rig, [
+        placed for placed in cameras if placed.mount == FIXED])
     # The scores of the plan do not hold for measured poses. A camera at a measured pose keeps its
     # planned pose in ``planned``; for others this is None.
     scores = {} if any(placed.planned for placed in cameras) else placement.scores
-    return replace(placement, cameras=cameras, rig=rig, scores=scores, created=created,
+    return replace(placement, cameras=tuple(cameras), rig=rig, scores=scores, created=created,
                    document=None, key_paths=())
 
 
@@ -197,18 +370,27 @@ def answer_of(placed: Placed, found: Registration) -> dict[str, Any]:
     row = {'camera': placed.camera.name, 'refused': found.refused,
            'residual': found.residual, 'overlap': found.overlap, 'violated': found.violated_share,
            'loose': certainty.loose_motions, 'otherwise': found.actual_setup,
-           'note': found.note,
-           'deviations': [
-               *({'along': axis.tolist(), 'metres': float(value)}
-                 for axis, value in zip(certainty.slide_axes, certainty.metres)),
-               *({'about': axis.tolist(), 'degrees': float(value)}
-                 for axis, value in zip(certainty.turn_axes, certainty.degrees))]}
+           'note': found.note, **_deviations(certainty)}
     if not found.refused:
         metres, radians = found.pose.away_from(Pose.of(placed.pose))
-        row |= {'position': found.pose.position.round(4).tolist(),
-                **dict(zip(ANGLES, np.rad2deg(heading_of(found.pose.rotation)).round(3).tolist())),
-                'moved_metres': metres, 'moved_degrees': float(np.rad2deg(radians))}
+        row |= {**_pose_of(found.pose), 'moved_metres': metres,
+                'moved_degrees': float(np.rad2deg(radians))}
     return row
+
+
+def _deviations(certainty: Certainty) -> dict[str, Any]:
+    """Return the expected deviations of a pose as plain data: three along axes, three about."""
+    return {'deviations': [
+        *({'along': axis.tolist(), 'metres': float(value), 'held_by': held} for axis, value, held
+          in zip(certainty.slide_axes, certainty.metres, certainty.held_by[:3])),
+        *({'about': axis.tolist(), 'degrees': float(value), 'held_by': held} for axis, value, held
+          in zip(certainty.turn_axes, certainty.degrees, certainty.held_by[3:]))]}
+
+
+def _pose_of(pose: Pose) -> dict[str, Any]:
+    """Return a pose as plain data: metres and degrees."""
+    return {'position': pose.position.round(4).tolist(),
+            **dict(zip(ANGLES, np.rad2deg(heading_of(pose.rotation)).round(3).tolist()))}
 
 
 def _at_registered_pose(placed: Placed, found: Mapping[str, Registration]) -> Placed:

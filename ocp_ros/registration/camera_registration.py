@@ -26,6 +26,7 @@ the pose.
 A surface explains a point near its plane: fully at distance 0, less the farther away the point is.
 """
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -36,7 +37,6 @@ from ocp_ros.registration.alignment import (
     AlignmentStage,
     axis_name,
     Certainty,
-    estimate_certainty,
     Matches,
     matches_of,
     MIN_NORMAL_COSINE,
@@ -45,6 +45,16 @@ from ocp_ros.registration.alignment import (
     Poses,
     Surfaces,
     weights_of,
+)
+from ocp_ros.registration.joint_alignment import (
+    all_constraints,
+    certainties,
+    Constraints,
+    joint_poses,
+    overlapping_pairs,
+    relative_pose,
+    RigCamera,
+    scan_constraints,
 )
 from ocp_ros.registration.live_view import LiveView
 from ocp_ros.registration.scan_surfaces import ScanSurfaces, SurfacesInView
@@ -57,6 +67,9 @@ FINEST_STAGE = AlignmentStage((0.04, 0.03), (2.0, 0.7), 16)
 DISTINCT_POSE_LIMITS = (0.10, np.deg2rad(4.0))
 #: Metres: the largest distance of a point to the nearest point of its surface.
 MAX_MATCH_DISTANCE_M = 0.15
+#: How many agreements a contradiction outweighs, see :func:`agreement`.
+CONTRADICTION_WEIGHT = 3.0
+ALL = slice(None)
 #: The weight in the score of the share of points closely behind a surface.
 BEHIND_WEIGHT = 3.0
 
@@ -104,6 +117,7 @@ class Registration(NamedTuple):
     :ivar actual_setup: a description of the mounting or of the axes of the cloud, if they differ
         from those given; otherwise empty.
     :ivar note: a reason to check a pose that is not refused; otherwise empty.
+    :ivar others: other poses that explain the cloud about as well as the best one.
     """
 
     pose: Pose
@@ -116,6 +130,7 @@ class Registration(NamedTuple):
     refused: str
     actual_setup: str = ''
     note: str = ''
+    others: tuple[Pose, ...] = ()
 
     @property
     def mismatched(self) -> bool:
@@ -140,14 +155,15 @@ def register(scan: ScanSurfaces, view: LiveView, start: Pose, model: CameraModel
     answer = _evaluated(scan, view, poses[best], model)
     alternatives = [k for k, pose in enumerate(poses)
                     if scores[k] > scores[best] - LIMITS.min_lead
-                    and _differ(pose, poses[best])]
+                    and differ(pose, poses[best])]
     changed = _accepted_in_changed_room(answer)
     if answer.refused and changed is None:
         return answer
     if alternatives:
-        alternative = max(alternatives, key=lambda k: scores[k])
+        alternatives.sort(key=lambda k: -scores[k])
+        others = (*answer.others, *(poses[k] for k in alternatives))
         return answer._replace(
-            refused=answer.refused or _ambiguity_reason(poses[best], poses[alternative]))
+            refused=answer.refused or _ambiguity_reason(poses[best], others[0]), others=others)
     turns = _equal_turns(scan, view, answer.pose, model)
     if changed is not None:
         return answer if turns else changed
@@ -179,13 +195,13 @@ def _equal_turns(scan: ScanSurfaces, view: LiveView, pose: Pose, model: CameraMo
     """
     centre = 0.5 * (scan.points.min(axis=0) + scan.points.max(axis=0))
     least_score = _score(scan, view, pose) - LIMITS.min_lead
-    patches = _sampled(view.patches, OUTLINE_PATCHES)
+    patches = sampled(view.patches, OUTLINE_PATCHES)
     turns = []
     for degrees in (90, 180, 270):
         rotation = rotation_matrix(np.deg2rad(degrees))
         turned = Pose(centre + rotation @ (pose.position - centre), rotation @ pose.rotation)
         # The middle of the scan may be off by what it shows of other rooms.
-        coarse = _first_pose(aligned_poses(scan.coarse, patches, _as_poses(turned),
+        coarse = _first_pose(aligned_poses(scan.coarse, patches, Poses.of(turned),
                                            AlignmentStage((0.4, 0.2), (12.0, 5.0), 12)))
         # A coarse pose has a lower score than a fine one.
         if _score(scan, view, coarse) > least_score - 0.3 and _score(
@@ -208,10 +224,87 @@ def registered_nearby(scan: ScanSurfaces, view: LiveView, pose: Pose, model: Cam
     return _evaluated(scan, view, _refined(scan, view, pose, model), model)
 
 
+def register_together(scan: ScanSurfaces, cameras: Mapping[str, tuple[LiveView, CameraModel]],
+                      found: Mapping[str, Registration]) -> dict[str, Registration]:
+    """
+    Register cameras to the scan and to each other, after each has been registered alone.
+
+    Cameras that do not match the scan take no part. Where several poses of a camera explain its
+    cloud, the one that agrees best with the other cameras is taken.
+
+    :param scan: the scan of the room.
+    :param cameras: the view and the model of each camera, by name.
+    :param found: the registration of each camera alone, by name.
+    :returns: the registrations, improved.
+    """
+    names = [name for name, one in found.items() if not one.mismatched]
+    if len(names) < 2:
+        return dict(found)
+    views = [cameras[name][0] for name in names]
+    poses = _agreeing_poses(views, [found[name] for name in names])
+    for stage in (AlignmentStage((0.1, 0.05), (3.0, 1.0), 10), FINEST_STAGE):
+        rig = [RigCamera.of(view.patches, scan.in_view(pose, cameras[name][1]).every)
+               for name, view, pose in zip(names, views, poses)]
+        poses = joint_poses(rig, poses, stage)
+    limits = FINEST_STAGE.max_distances[1], FINEST_STAGE.kernel_widths[1]
+    pairs = overlapping_pairs(rig, poses, limits[0])
+    constraints = all_constraints(rig, poses, pairs, *limits)
+    joint = dict(found)
+    for k, (name, certainty) in enumerate(zip(names, certainties(constraints, names))):
+        own = [one for one in constraints if k in (one.camera, one.other)]
+        alone = found[name]
+        seen_by_others = np.zeros(len(views[k].patches.points), dtype=bool)
+        for other in [other for camera, other in pairs if camera == k]:
+            seen_by_others |= _explained(rig[other].own, views[k].patches,
+                                         relative_pose(poses[k], poses[other]))[0]
+        answer = _judged(scan, views[k], poses[k], certainty, _residual(own), (), seen_by_others)
+        if answer.refused and not alone.refused:
+            answer = _accepted_in_changed_room(answer) or answer
+        joint[name] = answer._replace(actual_setup=alone.actual_setup, note=alone.note)
+    return joint
+
+
+def _agreeing_poses(views: Sequence[LiveView], found: Sequence[Registration]) -> list[Pose]:
+    """Return for each camera the one of its likely poses that agrees best with the others."""
+    poses = [one.pose for one in found]
+    certain = [k for k, one in enumerate(found) if not one.others]
+    for k in [k for k, one in enumerate(found) if one.others]:
+        likely = [found[k].pose, *found[k].others]
+        scores = [sum(agreement(views[k], pose, views[other], poses[other]) for other in certain)
+                  for pose in likely]
+        poses[k] = likely[int(np.argmax(scores))]
+    return poses
+
+
+def agreement(view: LiveView, pose: Pose, other: LiveView, other_pose: Pose,
+              used: np.ndarray | slice = ALL, other_used: np.ndarray | slice = ALL) -> float:
+    """
+    Return how well what two cameras see agrees: a likelihood ratio of these poses and chance.
+
+    A point of one camera that lies where the other has measured a surface speaks for the poses,
+    and a point in space that the other has measured as free speaks against them. Of the points
+    that can be compared, about 92 % agree at true poses and about 50 % at wrong ones, so that one
+    contradiction outweighs three agreements: ln(0.5 / 0.08) = 3 ln(0.92 / 0.5).
+
+    :param used: which patches of ``view`` count, (M,) bool; all unless given.
+    :param other_used: the same of ``other``.
+    :returns: agreements minus three times the contradictions, as a share of all points; at most 1.
+    """
+    seen = free = count = 0
+    for one, one_pose, one_used, two, two_pose in (
+            (view, pose, used, other, other_pose), (other, other_pose, other_used, view, pose)):
+        relative = relative_pose(one_pose, two_pose)
+        points, normals = one.patches.points[one_used], one.patches.normals[one_used]
+        numbers = two.compared(points @ relative.rotation.T + relative.position,
+                               normals @ relative.rotation.T)
+        seen, free, count = seen + numbers[0], free + numbers[1], count + len(points)
+    return (seen - CONTRADICTION_WEIGHT * free) / max(count, 1)
+
+
 def _coarse_poses(scan: ScanSurfaces, view: LiveView, start: Pose) -> Poses:
     """Return the best of the coarsely registered poses, from start poses around a planned one."""
     # All start poses are registered with few patches, and the 12 best results with more.
-    few_patches, patches = (_sampled(view.patches, count) for count in (160, OUTLINE_PATCHES))
+    few_patches, patches = (sampled(view.patches, count) for count in (160, OUTLINE_PATCHES))
     poses = aligned_poses(scan.coarse, few_patches, _start_poses(start),
                           AlignmentStage((1.0, 0.3), (40.0, 8.0), 14))
     best = np.argsort(-_explained_shares(scan.coarse, few_patches, poses, 5.0), kind='stable')[:12]
@@ -236,7 +329,7 @@ def _start_poses(start: Pose) -> Poses:
                              np.repeat(start.position[None], len(steps), axis=0)), steps)
 
 
-def _sampled(patches: Patches, count: int) -> Patches:
+def sampled(patches: Patches, count: int) -> Patches:
     """Return a random subset of at most ``count`` patches, the same one in each call."""
     return patches.subset(np.random.default_rng(0).permutation(len(patches.points))[:count])
 
@@ -257,27 +350,27 @@ def _distinct_poses(scan: ScanSurfaces, view: LiveView, start: Pose) -> list[Pos
     :returns: the best pose first; the start alone if none of the good poses is near enough to it.
     """
     poses = _coarse_poses(scan, view, start)
-    patches = _sampled(view.patches, OUTLINE_PATCHES)
+    patches = sampled(view.patches, OUTLINE_PATCHES)
     scores = (_explained_shares(scan.coarse, patches, poses, 5.0)
               - view.violated_shares(scan.coarse.points, poses))
     distinct: list[Pose] = []
     for k in np.argsort(-scores, kind='stable'):
         pose = Pose(poses.positions[k], poses.rotations[k])
         # At most 1.6 m and 45 degrees from the start, and less than 0.2 worse than the best score.
-        if (not _differ(pose, start, (1.6, np.deg2rad(45.0))) and scores[k] > scores.max() - 0.2
-                and len(distinct) < 3 and all(_differ(pose, other) for other in distinct)):
+        if (not differ(pose, start, (1.6, np.deg2rad(45.0))) and scores[k] > scores.max() - 0.2
+                and len(distinct) < 3 and all(differ(pose, other) for other in distinct)):
             distinct.append(pose)
     return distinct or [start]
 
 
 def _score(scan: ScanSurfaces, view: LiveView, pose: Pose) -> float:
     """Return the score of a finely registered pose, at most 1; see the module's text."""
-    return float(_explained_shares(scan.fine, view.patches, _as_poses(pose), 3.0)[0]
-                 - BEHIND_WEIGHT * _behind_shares(scan.fine, view.patches, _as_poses(pose))[0]
-                 - view.violated_shares(scan.points, _as_poses(pose))[0])
+    return float(_explained_shares(scan.fine, view.patches, Poses.of(pose), 3.0)[0]
+                 - BEHIND_WEIGHT * _behind_shares(scan.fine, view.patches, Poses.of(pose))[0]
+                 - view.violated_shares(scan.points, Poses.of(pose))[0])
 
 
-def _differ(pose: Pose, other: Pose, limits: tuple[float, float] = DISTINCT_POSE_LIMITS) -> bool:
+def differ(pose: Pose, other: Pose, limits: tuple[float, float] = DISTINCT_POSE_LIMITS) -> bool:
     """Return whether two poses differ by more than given metres or by more than given radians."""
     metres, radians = pose.away_from(other)
     return metres > limits[0] or radians > limits[1]
@@ -295,9 +388,9 @@ def _refined(scan: ScanSurfaces, view: LiveView, pose: Pose, model: CameraModel)
         # Sided surfaces are not used if their points are fewer than about 2 % of the patches.
         if len(surfaces.points) < len(view.patches.points) // 50 + 1:
             break
-        pose = _first_pose(aligned_poses(surfaces, view.patches, _as_poses(pose), stage))
+        pose = _first_pose(aligned_poses(surfaces, view.patches, Poses.of(pose), stage))
     surfaces = scan.in_view(pose, model).every
-    return _first_pose(aligned_poses(surfaces, view.patches, _as_poses(pose), FINEST_STAGE))
+    return _first_pose(aligned_poses(surfaces, view.patches, Poses.of(pose), FINEST_STAGE))
 
 
 def _evaluated(scan: ScanSurfaces, view: LiveView, pose: Pose, model: CameraModel) -> Registration:
@@ -305,22 +398,37 @@ def _evaluated(scan: ScanSurfaces, view: LiveView, pose: Pose, model: CameraMode
     in_view = scan.in_view(pose, model)
     pose, alternative = _best_shift(in_view, view.patches, pose)
     surfaces = in_view.every
-    matches, weights = _fine_matches(surfaces, view.patches, pose)
-    certainty = estimate_certainty(surfaces.points[matches.indices[0]],
-                                   surfaces.normals[matches.indices[0]], matches, weights)
-    overlap, displaced_share = _overlap_and_displaced(scan, view, pose)
-    behind_share = float(_behind_shares(scan.fine, view.patches, _as_poses(pose))[0])
-    violated_share = float(view.violated_shares(scan.points, _as_poses(pose))[0])
+    constraints = scan_constraints(0, surfaces, view.patches, pose, FINEST_STAGE.max_distances[1],
+                                   FINEST_STAGE.kernel_widths[1])
+    certainty, = certainties([constraints], [''])
+    return _judged(scan, view, pose, certainty, _residual([constraints]),
+                   () if alternative is None else (alternative,))
+
+
+def _judged(scan: ScanSurfaces, view: LiveView, pose: Pose, certainty: Certainty, residual: float,
+            others: tuple[Pose, ...], seen_by_others: np.ndarray | None = None) -> Registration:
+    """
+    Measure how well a cloud and the scan agree at a pose, and accept or refuse the pose.
+
+    :param others: other poses that explain the cloud as well.
+    :param seen_by_others: (M,) bool, which of the M patches other cameras explain.
+    """
+    explained, displaced = _explained(scan.fine, view.patches, pose)
+    overlap = float((explained if seen_by_others is None else explained | seen_by_others).mean())
+    displaced_share = float(np.nan_to_num(displaced).sum()
+                            / max(np.isfinite(displaced).sum(), 1))
+    behind_share = float(_behind_shares(scan.fine, view.patches, Poses.of(pose))[0])
+    violated_share = float(view.violated_shares(scan.points, Poses.of(pose))[0])
     refused = _rejection_reason(overlap, violated_share, behind_share, certainty, displaced_share)
-    if not refused and alternative is not None:
-        refused = _ambiguity_reason(pose, alternative)
-    return Registration(pose, _residual(matches, weights), overlap, violated_share, certainty,
-                        displaced_share, behind_share, refused)
+    if not refused and others:
+        refused = _ambiguity_reason(pose, others[0])
+    return Registration(pose, residual, overlap, violated_share, certainty, displaced_share,
+                        behind_share, refused, others=others)
 
 
 def _fine_matches(surfaces: Surfaces, patches: Patches, pose: Pose) -> tuple[Matches, np.ndarray]:
     """Return the matches of a finely registered pose, and their weights."""
-    matches = matches_of(surfaces, patches, _as_poses(pose), FINEST_STAGE.max_distances[1])
+    matches = matches_of(surfaces, patches, Poses.of(pose), FINEST_STAGE.max_distances[1])
     return matches, weights_of(matches, patches.deviation, FINEST_STAGE.kernel_widths[1])
 
 
@@ -348,8 +456,8 @@ def _best_shift(in_view: SurfacesInView, patches: Patches, pose: Pose) -> tuple[
     steps = np.concatenate([[np.zeros(6)], *(sign * shift * directions for sign in (-1.0, 1.0)
                                              for shift in shifts_m)])
     # Register from the pose itself (number 0) and from the shifted poses.
-    starts = Poses(*(np.repeat(values, len(steps), axis=0) for values in _as_poses(pose)))
-    few_patches = _sampled(patches, 2000)
+    starts = Poses(*(np.repeat(values, len(steps), axis=0) for values in Poses.of(pose)))
+    few_patches = sampled(patches, 2000)
     ends = aligned_poses(surfaces, few_patches, moved_poses(starts, steps), FINEST_STAGE)
     scores = _fit_scores(in_view, few_patches, ends)
     # The result of a shifted start has to be better than that of the pose itself by this.
@@ -357,10 +465,10 @@ def _best_shift(in_view: SurfacesInView, patches: Patches, pose: Pose) -> tuple[
     if scores.argmax() != 0:
         # Compare with all patches: the better one of both is the pose.
         best = aligned_poses(surfaces, patches, ends.subset([scores.argmax()]), FINEST_STAGE)
-        both = Poses(*(np.concatenate(pair) for pair in zip(_as_poses(pose), best)))
+        both = Poses(*(np.concatenate(pair) for pair in zip(Poses.of(pose), best)))
         pose = _first_pose(both.subset([_fit_scores(in_view, patches, both).argmax()]))
     # Look for another pose, more than 1 cm or 0.5 degrees away, that fits as well.
-    distinct = np.array([_differ(Pose(position, rotation), pose, (0.01, np.deg2rad(0.5)))
+    distinct = np.array([differ(Pose(position, rotation), pose, (0.01, np.deg2rad(0.5)))
                          for rotation, position in zip(*ends)])
     other_scores = np.where(distinct, scores, -np.inf)
     ambiguous = other_scores.max() > (1.0 - LIMITS.min_near_lead) * scores.max()
@@ -384,39 +492,35 @@ def _first_pose(poses: Poses) -> Pose:
     return Pose(poses.positions[0], poses.rotations[0])
 
 
-def _as_poses(pose: Pose) -> Poses:
-    """Return one pose as :class:`Poses`, S = 1."""
-    return Poses(pose.rotation[None], pose.position[None])
-
-
-def _residual(matches: Matches, weights: np.ndarray) -> float:
+def _residual(constraints: Sequence[Constraints]) -> float:
     """Return the weighted root mean square residual, metres; NaN without matches."""
+    weights, residuals = (np.concatenate([getattr(one, key) for one in constraints])
+                          for key in ('weights', 'residuals'))
     total = weights.sum()
-    return float(np.sqrt((weights * matches.residuals ** 2).sum() / total)) if total else np.nan
+    return float(np.sqrt((weights * residuals ** 2).sum() / total)) if total else np.nan
 
 
-def _overlap_and_displaced(scan: ScanSurfaces, view: LiveView, pose: Pose) -> tuple[float, float]:
+def _explained(surfaces: Surfaces, patches: Patches, pose: Pose) -> tuple[np.ndarray, np.ndarray]:
     """
-    Compare the cloud with the scan, independently of which side of a surface was scanned.
+    Compare a cloud with surfaces, independently of which side of a surface was scanned.
 
-    :returns: the share of the cloud that the scan explains; and the share of displaced surfaces
-        among those both seen and scanned.
+    :returns: whether surfaces explain each of M patches: (M,) bool; and for patches on scanned
+        surfaces, 1 if the surface is displaced, else 0: (M,), NaN elsewhere.
     """
-    patches = view.patches
     positions = patches.points @ pose.rotation.T + pose.position
-    distance, index = scan.fine.tree.query(positions, distance_upper_bound=MAX_MATCH_DISTANCE_M)
+    distance, index = surfaces.tree.query(positions, distance_upper_bound=MAX_MATCH_DISTANCE_M)
     # Without a match, the tree returns the distance inf and an index after the last point.
     found = np.isfinite(distance)
     index = np.where(found, index, 0)
-    normals = scan.normals[index]
-    plane_distance = np.abs(np.einsum('ij,ij->i', positions - scan.points[index], normals))
+    normals = surfaces.normals[index]
+    plane_distance = np.abs(np.einsum('ij,ij->i', positions - surfaces.points[index], normals))
     # Here, a surface explains points within three standard deviations and 2 cm of its plane.
     explained = found & (plane_distance < 3.0 * patches.deviation + 0.02)
     cosine = np.abs(np.einsum('ij,ij->i', patches.normals @ pose.rotation.T, normals))
-    scanned = found & (cosine > MIN_NORMAL_COSINE)
     # More than two standard deviations and 1 cm from its plane, a surface has been displaced.
-    displaced = scanned & (plane_distance > 2.0 * patches.deviation + 0.01)
-    return float(explained.mean()), np.count_nonzero(displaced) / max(np.count_nonzero(scanned), 1)
+    displaced = plane_distance > 2.0 * patches.deviation + 0.01
+    scanned = found & (cosine > MIN_NORMAL_COSINE)
+    return explained, np.where(scanned, displaced, np.nan)
 
 
 def _behind_shares(surfaces: Surfaces, patches: Patches, poses: Poses) -> np.ndarray:

@@ -20,7 +20,7 @@ import numpy as np
 from ocp_ros.geometry.cameras import CameraModel
 from ocp_ros.geometry.clouds import thinned_to
 from ocp_ros.geometry.normals import edge_aware_normals
-from ocp_ros.registration.alignment import Patches, Poses
+from ocp_ros.registration.alignment import Patches, Poses, Surfaces
 from ocp_ros.scenes.neighbours import nearest
 from ocp_ros.scenes.scene import MIN_POINTS, PLANE_NEIGHBOURS, SceneError
 from scipy.ndimage import maximum_filter, minimum_filter
@@ -71,14 +71,25 @@ class LiveView:
         return Patches(points, normals, standard_deviation(np.linalg.norm(points, axis=1)))
 
     @cached_property
-    def _ranges(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the least and the largest distance measured around each cell of directions."""
+    def surfaces(self) -> Surfaces:
+        """Return the patches as surfaces for other cameras, body frame."""
+        return Surfaces.of(self.patches.points, self.patches.normals, True)
+
+    @cached_property
+    def _cell_ranges(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the least and the largest distance measured in each cell of directions."""
         # Cells without a measurement have inf as least and -inf as largest distance.
         low, high = np.full((2, FREE_SPACE_ROWS, 2 * FREE_SPACE_ROWS), np.inf)
         high[:] = -np.inf
-        cells = _direction_cells(self.points, self._distance)
+        cells = direction_cells(self.points, self._distance)
         np.minimum.at(low, cells, self._distance)
         np.maximum.at(high, cells, self._distance)
+        return low, high
+
+    @cached_property
+    def _ranges(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the least and the largest distance measured around each cell of directions."""
+        low, high = self._cell_ranges
         empty = np.isinf(low)
         # Include the eight cells around each cell. Columns, the azimuths, continue on the other
         # side of the map; rows do not.
@@ -87,6 +98,25 @@ class LiveView:
         # A cell without its own measurement stays empty.
         low[empty], high[empty] = np.inf, -np.inf
         return low, high
+
+    def compared(self, points: np.ndarray, normals: np.ndarray) -> tuple[int, int]:
+        """
+        Compare the points of another camera with what this one has measured in their directions.
+
+        :param points: (N, 3) metres, body frame of this camera.
+        :param normals: (N, 3) unit vectors towards the other camera.
+        :returns: the number of points that lie where this camera has measured a surface and face
+            it, and of points in space that it has measured as free.
+        """
+        distance = np.maximum(np.linalg.norm(points, axis=1), 1e-6)
+        cells = direction_cells(points, distance)
+        low, high = (values[cells] for values in self._cell_ranges)
+        margin = 0.04 + 2.0 * standard_deviation(distance)
+        # Without a measurement, the least distance is inf and the largest -inf.
+        is_free = np.isfinite(low) & (distance < low - margin)
+        faces = -np.einsum('ij,ij->i', normals, points) > 0.2 * distance
+        is_seen = ~is_free & (distance <= high + margin) & faces
+        return int(np.count_nonzero(is_seen)), int(np.count_nonzero(is_free))
 
     def violated_shares(self, points: np.ndarray, poses: Poses) -> np.ndarray:
         """
@@ -107,7 +137,7 @@ class LiveView:
         :returns: from 0 to 1; 0 if no point is in view.
         """
         distance = np.maximum(np.linalg.norm(points, axis=1), 1e-6)
-        cells = _direction_cells(points, distance)
+        cells = direction_cells(points, distance)
         low, high = (values[cells] for values in self._ranges)
         # A difference of distances is certain if it is larger than 5 cm plus three standard
         # deviations. A point certainly behind the farthest measured point is hidden, so it is not
@@ -137,7 +167,7 @@ def averaged(points: np.ndarray, distance: np.ndarray) -> np.ndarray:
     """
     # Beams are 0.6 degrees wide.
     beam_rows = 300
-    row, column = _direction_cells(points, distance, beam_rows)
+    row, column = direction_cells(points, distance, beam_rows)
     # The number of each point's beam: a row has twice as many columns as there are rows.
     beam = row * 2 * beam_rows + column
     # By beam, and by distance within a beam: ``lexsort`` takes the last key first.
@@ -151,8 +181,8 @@ def averaged(points: np.ndarray, distance: np.ndarray) -> np.ndarray:
     return sums / count[:, None]
 
 
-def _direction_cells(points: np.ndarray, distance: np.ndarray, rows: int = FREE_SPACE_ROWS
-                     ) -> tuple[np.ndarray, np.ndarray]:
+def direction_cells(points: np.ndarray, distance: np.ndarray, rows: int = FREE_SPACE_ROWS
+                    ) -> tuple[np.ndarray, np.ndarray]:
     """
     Return row (N,) and column (N,) of the directions of points (N, 3) in the body frame.
 

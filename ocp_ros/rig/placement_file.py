@@ -74,7 +74,7 @@ class Placed(NamedTuple):
 
     def at_measured_pose(self, pose: np.ndarray) -> 'Placed':
         """Return the camera at its measured pose (6,), metres and radians, rounded."""
-        return _rounded(self.camera, pose, self.mount)._replace(
+        return placed_at(self.camera, pose, self.mount)._replace(
             planned=self.planned or (self.position, self.angles))
 
     @property
@@ -156,11 +156,11 @@ def placement_of(rig: Rig, poses: np.ndarray, **fields: Any) -> Placement:
     full = np.zeros((len(poses), 6))
     full[:, :poses.shape[1]] = poses
     mounts = [*[rig.mount.on] * len(rig.cameras), *[FIXED] * len(rig.fixed)]
-    placed = map(_rounded, rig.all_cameras, [*full, *rig.fixed_poses], mounts)
+    placed = map(placed_at, rig.all_cameras, [*full, *rig.fixed_poses], mounts)
     return Placement(tuple(placed), rig, **fields)
 
 
-def _rounded(camera: Camera, pose: np.ndarray, mount: str) -> Placed:
+def placed_at(camera: Camera, pose: np.ndarray, mount: str) -> Placed:
     """Return a camera at a pose (6,), metres and radians, rounded as in its file."""
     position, angles = _rounded_poses(np.asarray(pose)[None])
     return Placed(camera, tuple(position[0].tolist()), tuple(angles[0].tolist()), mount)
@@ -226,7 +226,7 @@ def placement_from(document: Document, rig: Rig | None = None) -> Placement:
         placed = [_placed(document, keys, camera, rig.mount.on)
                   for keys, camera in zip(movable, rig.cameras)]
         # Cameras in place come from the rig, since the file may leave them out.
-        placed += [_rounded(one.camera, one.pose, FIXED) for one in rig.fixed]
+        placed += [placed_at(one.camera, one.pose, FIXED) for one in rig.fixed]
     return Placement(tuple(placed), rig, data.get('room', {}),
                      EngineConfig(**data['engine']) if 'engine' in data else PROMISING,
                      data.get('scores', {}), data.get('created', {}),

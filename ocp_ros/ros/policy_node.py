@@ -107,9 +107,8 @@ class PolicyNode(ManagedNode):
         self.source: TurnSource
         if self.config.live_topics:
             self.source = LiveTurns(self)
-            if self.config.scan:
-                from ocp_ros.ros.policy.calibrator import Calibrator
-                self._calibrator = Calibrator(self, self.source)
+            from ocp_ros.ros.policy.calibrator import Calibrator
+            self._calibrator = Calibrator(self, self.source)
         else:
             self.source = SimulatedTurns(self)
         #: The training run whose weights this node takes; empty until the first ones came.

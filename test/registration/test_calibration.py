@@ -22,8 +22,6 @@ import numpy as np
 from ocp_ros.cli.main import main
 from ocp_ros.geometry.cameras import CameraModel, heading_of, OPTICAL_TO_BODY, Pose, TO_BODY
 from ocp_ros.registration.alignment import (
-    estimate_certainty,
-    Matches,
     matches_of,
     Patches,
     Poses,
@@ -33,12 +31,21 @@ from ocp_ros.registration.calibration import as_built, calibrate, drift
 from ocp_ros.registration.camera_registration import (
     _behind_shares,
     _best_shift,
+    FINEST_STAGE,
     LIMITS,
     register,
     registered_nearby,
 )
+from ocp_ros.registration.joint_alignment import (
+    all_constraints,
+    certainties,
+    Constraints,
+    joint_poses,
+    RigCamera,
+)
 from ocp_ros.registration.live_view import LiveView
 from ocp_ros.registration.scan_surfaces import inward_sign, ScanSurfaces
+from ocp_ros.registration.steady_cloud import steady_cloud
 from ocp_ros.report.facts import details_of
 from ocp_ros.rig.placement_file import load_placement, placement_of, save_placement
 from ocp_ros.rig.rig_file import load_rig, rig_of
@@ -64,7 +71,7 @@ def scan():
 
 def seen_by(pose, seed=SEED):
     """Return what a camera sees of a room's mesh, with noise, in its body frame."""
-    return cast(MeshRays(mesh_of(plan_of(seed))), pose, SENSOR, np.random.default_rng(0))
+    return cast(MeshRays(mesh_of(plan_of(seed))), pose, SENSOR)[0]
 
 
 @pytest.fixture(scope='module')
@@ -220,14 +227,13 @@ def test_a_scan_that_is_bent_makes_a_pose_less_certain():
     points[range(3), :, range(3)] = np.array([5.0, 4.0, -2.0])[:, None]
     points, normals = points.reshape(-1, 3), -np.repeat(np.eye(3), 3000, axis=0)
     cells = np.unique(np.floor(points), axis=0, return_inverse=True)[1].ravel()
-    jacobians = np.concatenate([np.cross(points, normals), normals], axis=1)[None]
-    weights, metres = np.full((1, len(points)), 0.006 ** -2.0), []
+    jacobians = np.concatenate([np.cross(points, normals), normals], axis=1)
+    weights, metres = np.full(len(points), 0.006 ** -2.0), []
     for bent in (0.0, 0.015):
         residuals = rng.normal(0.0, bent, cells.max() + 1)[cells]
         residuals += rng.normal(0.0, 1e-3, len(points))
-        matches = Matches(residuals[None], jacobians, np.ones((1, len(points)), bool),
-                          np.arange(len(points))[None])
-        metres.append(estimate_certainty(points, normals, matches, weights).metres[0])
+        held = Constraints(0, -1, jacobians, residuals, weights, points, normals)
+        metres.append(certainties([held], ['camera'])[0].metres[0])
     assert metres[1] > 3.0 * metres[0]
 
 
@@ -346,3 +352,43 @@ def test_a_camera_in_place_that_hardly_moved_is_moved_in_the_rig_as_well(
     built = load_placement('built.yaml')
     for position in (built.cameras[1].position, built.rig.fixed_poses[0, :3]):
         assert position == pytest.approx(found.pose.position, abs=1e-4)
+
+
+def test_what_stays_in_most_frames_is_kept_and_its_noise_falls():
+    rng = np.random.default_rng(0)
+    y, z = np.meshgrid(np.linspace(-0.8, 0.8, 160), np.linspace(-0.6, 0.6, 120))
+    frames = []
+    for number in range(20):
+        depth = 3.0 + rng.normal(0.0, 0.017, y.shape)
+        # Somebody walks past a board that stays; pixels at its edges flicker.
+        depth[np.abs(y - 0.1 * (number - 10)) < 0.1] = 1.5
+        depth[np.abs(y - 0.3) < 0.1] = 2.0
+        depth[np.abs(y - 0.42) < 0.015] = rng.uniform(2.0, 3.0)
+        frames.append(cloud_of(depth))
+    found = steady_cloud([*frames, np.full((3, 3), np.nan)])
+    assert not (found[:, 0] < 1.9).any()
+    board = np.abs(found[:, 0] - 2.0) < 0.1
+    assert np.abs(found[board, 1] / found[board, 0] - 0.3).max() < 0.13
+    assert found[~board, 0].std() < 0.005 and found[~board, 0].min() > 2.9
+    assert steady_cloud(frames[:1]) is frames[0]
+
+
+def test_a_neighbour_holds_a_camera_where_the_scan_does_not():
+    walls = np.random.default_rng(0).uniform(0.0, 3.0, (3, 1500, 3))
+    walls[range(3), :, range(3)] = 0.0
+    points, normals = walls.reshape(-1, 3), np.repeat(np.eye(3), 1500, axis=0)
+    true = [Pose.of(np.array([2.5, 2.0 - k, 1.5, 3.0 + 0.5 * k, 0.1, 0.0])) for k in range(2)]
+    # The scan shows three walls to one camera, and one wall to the other.
+    scans = (points, normals), (points[:1500], normals[:1500])
+    rig = [RigCamera.of(Patches((points - pose.position) @ pose.rotation, normals @ pose.rotation,
+                                np.full(len(points), 0.006)), Surfaces.of(*shown, True))
+           for pose, shown in zip(true, scans)]
+    start = [true[0], off(true[1], 0.03, 1.0, np.random.default_rng(0))]
+    poses = joint_poses(rig, start, FINEST_STAGE)
+    assert_near(poses[1], true[1], 0.002, 0.1)
+    pairs = [(0, 1), (1, 0)]
+    for used, loose in (([], 3), (pairs, 0)):
+        certainty = certainties(all_constraints(rig, true, used, 0.03, 1.0), ['held', 'free'])[1]
+        assert len(certainty.loose_motions) == loose
+        assert {name for one in certainty.held_by for name in one} == (
+            {'scan', 'held'} if used else {'scan'})

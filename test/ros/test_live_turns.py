@@ -524,8 +524,8 @@ TRUE = np.array([0.4, 0.5, 2.2, 0.7, 0.4, 0.0])
 AWAY = np.array([0.06, -0.03, 0.02])
 
 
-def hang_elsewhere(probe, points):
-    """Start a camera that stays and sends points; others say that it hangs elsewhere."""
+def hang_elsewhere(probe, shown):
+    """Start a camera that sends the last of some clouds; others say that it hangs elsewhere."""
     poses = probe.node.create_publisher(PoseArray, topics.CAMERA_POSES, qos.LOOP)
     clouds = probe.node.create_publisher(PointCloud2, 'points_0', qos.SENSOR)
     stamps = count(1000 * S, S // 20)
@@ -534,7 +534,7 @@ def hang_elsewhere(probe, points):
         stamp = next(stamps)
         poses.publish(positions_to_msg(
             (TRUE[:3] + AWAY)[None], header_at(stamp), TRUE[None, 3:]))
-        clouds.publish(cloud_to_msg(points, header_at(stamp, OPTICAL.format(0))))
+        clouds.publish(cloud_to_msg(shown[-1], header_at(stamp, OPTICAL.format(0))))
 
     probe.node.create_timer(0.05, send)
 
@@ -552,9 +552,8 @@ def calibrated(probe, holds):
 
 
 def test_the_service_says_where_a_camera_hangs_and_drift_is_a_warning(graph, probe, tmp_path):
-    seen = cast(MeshRays(mesh_of(plan_of(SEED))), Pose.of(TRUE), 'realsense_d455',
-                np.random.default_rng(0))[::4]
-    hang_elsewhere(probe, seen @ OPTICAL_TO_BODY)
+    seen = cast(MeshRays(mesh_of(plan_of(SEED))), Pose.of(TRUE), 'realsense_d455')[0][::4]
+    hang_elsewhere(probe, [seen @ OPTICAL_TO_BODY])
     scan = tmp_path / 'room.ply'
     scan.write_text('no scan')
     node = graph.add(PolicyNode, planner='lookahead', cloud_topics='points_0', turns=1,
@@ -576,6 +575,22 @@ def test_the_service_says_where_a_camera_hangs_and_drift_is_a_warning(graph, pro
     graph.until(lambda: counted(node, 'drift_checks'))
     level, message, _ = status(node)
     assert level == DiagnosticStatus.WARN and 'camera_0 hangs 0.0' in message
+
+
+def test_a_camera_that_moves_is_named_without_a_scan(graph, probe):
+    rays = MeshRays(mesh_of(plan_of(SEED)))
+    turned = [TRUE + [0.0, 0.0, 0.0, np.deg2rad(degrees), 0.0, 0.0] for degrees in (0.0, 2.0)]
+    before, after = (cast(rays, Pose.of(pose), 'realsense_d455')[0][::4] @ OPTICAL_TO_BODY
+                     for pose in turned)
+    shown = [before]
+    hang_elsewhere(probe, shown)
+    node = graph.add(PolicyNode, planner='lookahead', cloud_topics='points_0', turns=1,
+                     max_range=6.0, arrival_timeout=0.1, drift_seconds=0.5)
+    graph.until(lambda: counted(node, 'drift_checks') > 1)
+    assert status(node)[0] == DiagnosticStatus.OK
+    shown.append(after)
+    # Until then, some of the last ten clouds are of before.
+    graph.until(lambda: 'turn it 2.0 degrees to the right' in status(node)[1])
 
 
 def test_recorded_topics_are_those_of_cameras_by_name_or_in_order():

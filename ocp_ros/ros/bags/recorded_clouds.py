@@ -14,13 +14,14 @@
 
 """Clouds of each camera of a rig from a bag, or from depth images in it, in its body frame."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import islice
 from pathlib import Path
 
 import numpy as np
 from ocp_ros.geometry.cameras import TO_BODY
-from ocp_ros.ros.bags.bag_files import Bag, Recorded
+from ocp_ros.registration.steady_cloud import MAX_FRAMES, steady_cloud
+from ocp_ros.ros.bags.bag_files import Bag, BrokenMessage, Recorded
 from ocp_ros.ros.interface.conversions import RawMessage
 from ocp_ros.ros.interface.depth_images import POINT_SOURCES, read_points
 from ocp_ros.ros.interface.frames import OPTICAL_FRAME_ENDINGS
@@ -74,7 +75,7 @@ def topics_of_cameras(path: Path, names: Sequence[str], topics: Sequence[str]) -
 
 
 def _read_cloud(bag: Bag, topic: str, kind: str, frame: str | None) -> np.ndarray:
-    """Return the points, (N, 3) metres, body frame, of the first five messages of a topic."""
+    """Return what stays in frames of a topic, (M, 3) metres, body frame."""
     clouds = []
     info = None
     if POINT_SOURCES[kind] is not PointCloud2:
@@ -84,7 +85,7 @@ def _read_cloud(bag: Bag, topic: str, kind: str, frame: str | None) -> np.ndarra
                 info = RawMessage.of(CameraInfo, item.cdr).message()
     # Why there is no cloud; each message that cannot be read replaces it.
     reason = 'it has no message'
-    for item in islice(bag.messages([topic]), 5):
+    for item in _spread(bag.messages([topic])):
         try:
             if not isinstance(item, Recorded):
                 raise item
@@ -97,4 +98,16 @@ def _read_cloud(bag: Bag, topic: str, kind: str, frame: str | None) -> np.ndarra
     if not clouds:
         raise ConfigurationError(f'{bag.path}: found no cloud on {topic} that can be read '
                                  f'({reason}); expected one; name another topic (--topics)')
-    return np.concatenate(clouds)
+    return steady_cloud(clouds)
+
+
+def _spread(items: Iterable[Recorded | BrokenMessage]) -> list[Recorded | BrokenMessage]:
+    """Return at most ``MAX_FRAMES`` of the first 1,000 items, spread evenly."""
+    kept: list[Recorded | BrokenMessage] = []
+    stride = 1
+    for number, item in enumerate(islice(items, 1000)):
+        if number % stride == 0:
+            kept.append(item)
+            if len(kept) > MAX_FRAMES:
+                kept, stride = kept[::2], 2 * stride
+    return kept

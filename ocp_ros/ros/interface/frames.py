@@ -78,11 +78,12 @@ class CameraClouds(NamedTuple):
     The newest clouds of live cameras, with the reported poses of the cameras.
 
     :ivar rig: the poses.
-    :ivar clouds: by the number of the camera: (N, 3) metres, in the body frame of the camera.
+    :ivar clouds: by the number of the camera: frames, each (N, 3) metres, in the body frame of the
+        camera.
     """
 
     rig: LiveRig
-    clouds: Mapping[int, np.ndarray]
+    clouds: Mapping[int, Sequence[np.ndarray]]
 
 
 class Transforms:

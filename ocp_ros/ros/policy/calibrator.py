@@ -13,25 +13,29 @@
 # limitations under the License.
 
 """
-Register the clouds of live cameras to a scan, for their poses and later for their drift.
+Register the clouds of live cameras to a scan or to each other, and find out which move later.
 
 Registration takes seconds: it runs in a separate thread, one job at a time, and turns continue.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 import time
 from typing import TYPE_CHECKING
 
 import numpy as np
-from ocp_ros.geometry.cameras import heading_of
-from ocp_ros.registration.calibration import as_built, calibrate, drift
+from ocp_ros.geometry.cameras import heading_of, Pose
+from ocp_ros.registration.calibration import as_built, calibrate, calibrate_mutually, drift
+from ocp_ros.registration.live_view import LiveView
+from ocp_ros.registration.movement import movement_since, sentence_of
 from ocp_ros.registration.scan_surfaces import ScanSurfaces
+from ocp_ros.registration.steady_cloud import steady_cloud
 from ocp_ros.rig.placement_file import Placement, save_placement
 from ocp_ros.ros.interface.conversions import MessageError, shortened
 from ocp_ros.ros.policy.live_turns import LiveTurns
 from ocp_ros.ros.runtime.managed_node import create_steady_timer
+from ocp_ros.scenes.scene import SceneError
 from ocp_ros.scenes.scene_files import load_scene
 from ocp_ros.util.settings import ConfigurationError, UserError
 from rclpy.task import Future
@@ -43,18 +47,19 @@ if TYPE_CHECKING:
 
 class Calibrator:
     """
-    Register live cameras to a scan on request, and check their drift at intervals if configured.
+    Register live cameras on request, and check at intervals whether they move, if configured.
 
-    The drift is checked only when the placement is final.
+    Movements are checked only when the placement is final: each camera is compared with what it
+    saw at the first check, and with the scan, if there is one.
 
-    :param node: gets the service and a timer; its parameter ``scan`` names the scan.
+    :param node: gets the service and a timer; its parameter ``scan`` names the scan or is empty.
     :param source: has the newest clouds.
     :raises ConfigurationError: if the file of the scan does not exist.
     """
 
     def __init__(self, node: 'PolicyNode', source: LiveTurns) -> None:
         scan = node.config.scan
-        if not Path(scan).is_file():
+        if scan and not Path(scan).is_file():
             raise ConfigurationError(f'scan: found no file {scan!r}; expected a scan of the room; '
                                      'correct the path, or leave it empty')
         self._node = node
@@ -64,6 +69,8 @@ class Calibrator:
         self._job_runs = False
         #: Time of the last drift check, or of the start, by a steady clock.
         self._check_time = time.monotonic()
+        #: What each camera saw at the first check of the final placement, by its name.
+        self._references: dict[str, LiveView] = {}
         #: A sentence for each camera that had drifted at the last check.
         self.drift_warnings: list[str] = []
         self.drift_checks = 0
@@ -94,6 +101,8 @@ class Calibrator:
         interval = self._node.config.drift_seconds
         if not interval:
             self.drift_warnings = []
+        if not self._node.convergence.is_final:
+            self._references = {}
         if not interval or self._job_runs or not self._node.convergence.is_final or \
                 time.monotonic() - self._check_time < interval:
             return
@@ -136,8 +145,8 @@ class Calibrator:
             self._surfaces = ScanSurfaces(load_scene(self._node.config.scan))
         return self._surfaces
 
-    def _placement_and_clouds(self) -> tuple[Placement, dict[str, np.ndarray]]:
-        """Return the placement as reported, and the newest clouds by the names of the cameras."""
+    def _placement_and_clouds(self) -> tuple[Placement, dict[str, Sequence[np.ndarray]]]:
+        """Return the placement as reported, and the newest frames by the names of the cameras."""
         rig, clouds = self._source.latest_clouds()
         poses = np.array([[*pose.position, *heading_of(pose.rotation)] for pose in rig.poses])
         placement = self._node.decider.placement(poses, rig.frame)
@@ -145,15 +154,18 @@ class Calibrator:
         return placement, {placement.cameras[number].camera.name: cloud for number, cloud
                            in clouds.items() if number < len(placement.cameras)}
 
-    def _calibrate(self, placement: Placement, clouds: Mapping[str, np.ndarray]
+    def _calibrate(self, placement: Placement, frames: Mapping[str, Sequence[np.ndarray]]
                    ) -> tuple[bool, str]:
         """
         Register the cameras, and write their registered poses beside the placement file, if any.
 
-        :param clouds: by the name of the camera: (N, 3) metres, body frame.
+        :param frames: by the name of the camera: clouds, each (N, 3) metres, body frame.
         :returns: whether any camera was registered, and a line of text for each camera.
         """
-        registrations, unusable_clouds = calibrate(self._scan_surfaces(), placement, clouds)
+        registrations, unusable_clouds = (
+            calibrate(self._scan_surfaces(), placement, _steady(frames)) if self._node.config.scan
+            else calibrate_mutually(placement, _steady(frames)))
+        self._references = {}
         lines = []
         for placed in placement.cameras:
             name = placed.camera.name
@@ -178,13 +190,33 @@ class Calibrator:
             lines.append(f'wrote {path}')
         return any_registered, '\n'.join(lines)
 
-    def _find_drift(self, placement: Placement, clouds: Mapping[str, np.ndarray]
+    def _find_drift(self, placement: Placement, frames: Mapping[str, Sequence[np.ndarray]]
                     ) -> tuple[bool, str]:
         """Find cameras that have drifted; return True for none, and a text about those found."""
-        self.drift_warnings = drift(self._scan_surfaces(), placement, clouds)
+        clouds = _steady(frames)
+        warnings = drift(self._scan_surfaces(), placement, clouds) if self._node.config.scan \
+            else []
+        for placed in placement.cameras:
+            name = placed.camera.name
+            if name not in clouds:
+                continue
+            try:
+                view = LiveView(clouds[name], placed.camera.model, name)
+            except SceneError as error:
+                warnings.append(str(error))
+                continue
+            movement = movement_since(self._references.setdefault(name, view), view)
+            if movement.has_moved:
+                warnings.append(sentence_of(name, movement, Pose.of(placed.pose)))
+        self.drift_warnings = list(dict.fromkeys(warnings))
         self.drift_checks += 1
         return not self.drift_warnings, '; '.join(self.drift_warnings)
 
     def status(self) -> tuple[str, dict[str, object]]:
         """Return the drift warnings as text (empty if there are none), and values to show."""
         return '; '.join(self.drift_warnings), {'drift_checks': self.drift_checks}
+
+
+def _steady(frames: Mapping[str, Sequence[np.ndarray]]) -> dict[str, np.ndarray]:
+    """Return what stays in the frames of each camera, by name: (N, 3) metres, body frame."""
+    return {name: steady_cloud(clouds) for name, clouds in frames.items()}

@@ -19,7 +19,7 @@ Of each topic only the newest cloud is stored, as it was received, and each turn
 topic. So the executor is busy with one cloud or one answer at a time, however fast cameras are.
 """
 
-from collections import Counter
+from collections import Counter, defaultdict, deque
 from functools import partial
 import math
 from typing import TYPE_CHECKING
@@ -70,6 +70,8 @@ if TYPE_CHECKING:
 
 #: Largest number of points of the fused cloud; beyond it the voxels grow.
 MAX_FUSED_POINTS = 100_000
+#: Largest number of clouds of a topic that are kept for calibration, and nanoseconds between them.
+MAX_FRAMES, FRAME_INTERVAL_NS = 10, 300_000_000
 #: Seconds after which a command, which may be lost, is sent again to cameras that are under way.
 RESEND_S = 1.0
 
@@ -91,8 +93,10 @@ class LiveTurns(TurnSource):
         self._frame_prefix = find_frame_prefix(node, config.frame_prefix)
         self._frames = CameraFrames(
             node, config.publish_tf, self._frame_prefix, self._transforms.has_transform)
-        #: The newest cloud of each topic, unread.
-        self._newest_clouds: dict[str, RawMessage] = {}
+        #: The newest clouds of each topic, unread: several if cameras are to be calibrated.
+        frames = MAX_FRAMES if config.calibrates else 1
+        self._newest_clouds: dict[str, deque[RawMessage]] = defaultdict(
+            lambda: deque(maxlen=frames))
         #: Targets of the last command: positions of the K cameras, (K, 3) metres, and rotations,
         #: (3, 3), of the cameras that the command rotates.
         self._targets = np.empty((0, 3))
@@ -199,7 +203,11 @@ class LiveTurns(TurnSource):
         except MessageError as error:
             self._node.refuse(error, topic)
             return
-        self._newest_clouds[topic] = cloud
+        frames = self._newest_clouds[topic]
+        # The newest cloud replaces one that has come shortly before; a clock may be set back.
+        if len(frames) > 1 and 0 <= cloud.stamp - frames[-2].stamp < FRAME_INTERVAL_NS:
+            frames.pop()
+        frames.append(cloud)
         self._turns.on_cloud(topic, cloud.stamp, cloud)
         self._play_turn()
 
@@ -445,7 +453,7 @@ class LiveTurns(TurnSource):
 
     def latest_clouds(self) -> CameraClouds:
         """
-        Return the newest cloud of each camera.
+        Return the clouds of each camera, the newest last, since the cameras stand.
 
         Topic i has the clouds of camera i, unless their frame names another camera.
 
@@ -455,15 +463,19 @@ class LiveTurns(TurnSource):
             missing = topics.CAMERA_POSES if self._rig is None else 'a cloud'
             raise MessageError(f'cameras: found nothing on {missing} yet; expected poses and '
                                'clouds; call it again when the cameras run')
-        clouds = {}
+        clouds: dict[int, list[np.ndarray]] = {}
         for number, topic in enumerate(self._node.config.live_topics):
-            if topic in self._newest_clouds:
-                points, frame = self._subscriptions[topic].read(self._newest_clouds[topic])
+            frames = list(self._newest_clouds[topic]) if topic in self._newest_clouds else []
+            since = self._turns.standing_begin.stamp if self._turns.standing_begin else math.inf
+            # Without clouds since then, the newest one is used.
+            for message in [one for one in frames if one.stamp >= since] or frames[-1:]:
+                points, frame = self._subscriptions[topic].read(message)
                 match = self._rig.match_frame(frame)
                 camera = int(match[1]) if match else number
                 if camera < len(self._rig.poses):
                     points, _ = transform_cloud(points, frame, self._rig, self._transforms)
-                    clouds[camera] = points_in_body_frame(points, self._rig.poses[camera])
+                    clouds.setdefault(camera, []).append(
+                        points_in_body_frame(points, self._rig.poses[camera]))
         return CameraClouds(self._rig, clouds)
 
     def status(self) -> dict[str, object]:

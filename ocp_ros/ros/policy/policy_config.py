@@ -80,10 +80,10 @@ class PolicyNodeConfig(EpisodeLimits):
     placement_file: str = setting('', 'file for the final placement, .yaml or .json '
                                   '(docs/reference/placement.md); empty: write no file')
     scan: str = setting('', 'live: scan of the room in the frame of the poses, metres, z up: '
-                        '`~/calibrate` registers the cameras to it; empty: none')
+                        '`~/calibrate` registers the cameras to it; empty: to each other')
     drift_seconds: float = setting(
-        0.0, 'live: time between two checks of a final placement against the scan, seconds; '
-        '0: never', 0.0, 86400.0, running=True)
+        0.0, 'live: time between two checks whether cameras of a final placement have moved, '
+        'seconds; 0: never', 0.0, 86400.0, running=True)
     cloud_topics: str = setting(
         '', 'live: topics of the clouds or depth images, a list or separated by commas; empty: '
         'work with a simulation', names=True)
@@ -137,6 +137,11 @@ class PolicyNodeConfig(EpisodeLimits):
     def live_topics(self) -> list[str]:
         """Return the topics of live clouds; empty with a simulation."""
         return names_in(self.cloud_topics)
+
+    @property
+    def calibrates(self) -> bool:
+        """Return whether the clouds of live cameras are registered."""
+        return bool(self.scan) or self.drift_seconds > 0.0
 
     @property
     def needs_no_weights(self) -> bool:

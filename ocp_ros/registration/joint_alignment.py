@@ -1,0 +1,334 @@
+# Copyright 2026 The ocp_ros authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Register several cameras at once: to the scan, if there is one, and to each other.
+
+The poses of K cameras are 6K unknowns of one problem. Each measured point has a residual to the
+plane of the nearest surface point of the scan, and one to that of each other camera. All are
+minimised together by iteratively reweighted Gauss-Newton steps, as in
+:mod:`~ocp_ros.registration.alignment`. So a neighbour holds a camera in directions in which the
+scan does not: along a bare wall, for example.
+
+The covariance of all poses is estimated from blocks with an edge of one metre. Neighbouring points
+have common errors, since they belong to one panel or one frame of the scan. So the number of
+blocks counts, not the number of points. The covariance has two terms: that of the delete-a-group
+jackknife, which is how much the poses change if one block is left out, and that of blocks with
+independent errors as large as those observed.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from ocp_ros.geometry.cameras import Pose
+from ocp_ros.registration.alignment import (
+    AlignmentStage,
+    Certainty,
+    FREE_DEVIATION,
+    matches_of,
+    Patches,
+    Poses,
+    Surfaces,
+    weights_of,
+)
+from ocp_ros.util.annealing import between
+from scipy.spatial.transform import Rotation
+
+#: The number of patches of a camera that are matched to those of another camera.
+MUTUAL_PATCHES = 4000
+#: The least share of these that has to match, so that two cameras hold each other.
+MIN_MUTUAL_SHARE = 0.04
+#: The number of points of a whole block.
+WHOLE_BLOCK_POINTS = 8
+#: The name of the scan among what holds a camera.
+SCAN = 'scan'
+
+
+class Constraints(NamedTuple):
+    """
+    Residuals of M points between a camera and the scan or another camera.
+
+    :ivar camera: the number of the camera that measured the points.
+    :ivar other: the number of the other camera; -1 for the scan.
+    :ivar jacobians: (M, 6) or (M, 12): derivatives of the residuals by the rotation about the map
+        axes through the camera, radians, and the displacement along these axes, metres; then by
+        those of the other camera.
+    :ivar residuals: (M,) metres.
+    :ivar weights: (M,) 1/m², 0 without a match.
+    :ivar points: (M, 3) the measured points, metres, map frame.
+    :ivar normals: (M, 3) the normals of the matched surfaces.
+    """
+
+    camera: int
+    other: int
+    jacobians: np.ndarray
+    residuals: np.ndarray
+    weights: np.ndarray
+    points: np.ndarray
+    normals: np.ndarray
+
+    @property
+    def columns(self) -> np.ndarray:
+        """Return the numbers of the unknowns that the columns of the jacobians stand for."""
+        cameras = [self.camera] if self.other < 0 else [self.camera, self.other]
+        return np.concatenate([np.arange(6 * k, 6 * k + 6) for k in cameras])
+
+
+class RigCamera(NamedTuple):
+    """
+    A camera to register with others.
+
+    :ivar patches: its measured points, body frame.
+    :ivar surfaces: the surfaces of the scan in its view; None without a scan.
+    :ivar own: its points as surfaces for other cameras, body frame.
+    :ivar few: some of its points, to be matched to the surfaces of other cameras.
+    """
+
+    patches: Patches
+    surfaces: Surfaces | None
+    own: Surfaces
+    few: Patches
+
+    @classmethod
+    def of(cls, patches: Patches, surfaces: Surfaces | None = None) -> 'RigCamera':
+        """Build a camera from its patches and the surfaces of the scan in its view."""
+        order = np.random.default_rng(0).permutation(len(patches.points))[:MUTUAL_PATCHES]
+        return cls(patches, surfaces, Surfaces.of(patches.points, patches.normals, True),
+                   patches.subset(order))
+
+
+def scan_constraints(camera: int, surfaces: Surfaces, patches: Patches, pose: Pose,
+                     max_distance: float, kernel_width: float) -> Constraints:
+    """
+    Match the points of a camera to surfaces of the scan.
+
+    :param camera: the number of the camera.
+    :param surfaces: surfaces of the scan, map frame.
+    :param max_distance: the largest distance between a point and its match, metres.
+    :param kernel_width: the width of the kernel in standard deviations.
+    """
+    matches = matches_of(surfaces, patches, Poses.of(pose), max_distance)
+    weights = weights_of(matches, patches.deviation, kernel_width)
+    points = patches.points @ pose.rotation.T + pose.position
+    return Constraints(camera, -1, matches.jacobians[0], matches.residuals[0], weights[0], points,
+                       matches.jacobians[0, :, 3:])
+
+
+def _mutual_constraints(camera: int, other: int, rig: Sequence[RigCamera], poses: Sequence[Pose],
+                        max_distance: float, kernel_width: float) -> Constraints:
+    """Match the points of a camera to those of another; see :func:`scan_constraints`."""
+    patches, surfaces = rig[camera].few, rig[other].own
+    pose, base = poses[camera], poses[other]
+    matches = matches_of(surfaces, patches, Poses.of(relative_pose(pose, base)), max_distance)
+    # Both points have errors.
+    deviation = np.hypot(patches.deviation, rig[other].patches.deviation[matches.indices[0]])
+    weights = weights_of(matches, deviation, kernel_width)[0]
+    normals = matches.jacobians[0, :, 3:] @ base.rotation.T
+    offsets = patches.points @ pose.rotation.T
+    points = offsets + pose.position
+    jacobians = np.hstack([np.cross(offsets, normals), normals,
+                           -np.cross(points - base.position, normals), -normals])
+    return Constraints(camera, other, jacobians, matches.residuals[0], weights, points, normals)
+
+
+def relative_pose(pose: Pose, base: Pose) -> Pose:
+    """Return a pose in the body frame of a camera at another pose."""
+    return Pose((pose.position - base.position) @ base.rotation, base.rotation.T @ pose.rotation)
+
+
+def all_constraints(rig: Sequence[RigCamera], poses: Sequence[Pose],
+                    pairs: Sequence[tuple[int, int]], max_distance: float, kernel_width: float
+                    ) -> list[Constraints]:
+    """Return the constraints of all cameras by the scan, and of pairs of cameras."""
+    limits = max_distance, kernel_width
+    return [*(scan_constraints(k, one.surfaces, one.patches, poses[k], *limits)
+              for k, one in enumerate(rig) if one.surfaces is not None),
+            *(_mutual_constraints(camera, other, rig, poses, *limits) for camera, other in pairs)]
+
+
+def overlapping_pairs(rig: Sequence[RigCamera], poses: Sequence[Pose], max_distance: float
+                      ) -> list[tuple[int, int]]:
+    """Return the pairs of cameras, in both orders, that see enough of the same surfaces."""
+    found = []
+    for camera in range(len(rig)):
+        for other in range(len(rig)):
+            if camera != other:
+                matched = _mutual_constraints(camera, other, rig, poses, max_distance, 3.0)
+                if np.mean(matched.weights > 0.0) >= MIN_MUTUAL_SHARE:
+                    found.append((camera, other))
+    return found
+
+
+def joint_poses(rig: Sequence[RigCamera], poses: Sequence[Pose], stage: AlignmentStage,
+                anchor: int | None = None) -> list[Pose]:
+    """
+    Register cameras to the scan and to each other.
+
+    :param rig: the K cameras.
+    :param poses: their start poses.
+    :param stage: the limits of the iteration.
+    :param anchor: a camera that keeps its pose, where no camera has a scan.
+    :returns: their final poses.
+    """
+    poses = list(poses)
+    pairs = overlapping_pairs(rig, poses, stage.max_distances[0])
+    for number in range(stage.max_steps):
+        progress = min(number / max(0.7 * stage.max_steps, 1.0), 1.0)
+        constraints = all_constraints(rig, poses, pairs, between(*stage.max_distances, progress),
+                                      between(*stage.kernel_widths, progress))
+        information, gradient = _normal_equations(constraints, len(poses))
+        damping = 1e-4 * np.repeat(
+            information.diagonal().reshape(-1, 6).mean(axis=1), 6) + 1e-9
+        if anchor is not None:
+            damping[6 * anchor:6 * anchor + 6] += 1e6 * max(information.diagonal().max(), 1.0)
+        steps = -np.linalg.solve(information + np.diag(damping), gradient).reshape(-1, 6)
+        poses = [Pose(pose.position + step[3:],
+                      Rotation.from_rotvec(step[:3]).as_matrix() @ pose.rotation)
+                 for pose, step in zip(poses, steps)]
+        # All steps are shorter than 0.01 mm and 0.01 mrad.
+        if progress == 1.0 and np.abs(steps).max() < 1e-5:
+            break
+    return poses
+
+
+def _normal_equations(constraints: Sequence[Constraints], cameras: int
+                      ) -> tuple[np.ndarray, np.ndarray]:
+    """Return the information matrix (6K, 6K) and the gradient (6K,) of weighted residuals."""
+    information, gradient = np.zeros((6 * cameras, 6 * cameras)), np.zeros(6 * cameras)
+    for one in constraints:
+        weighted = one.jacobians * one.weights[:, None]
+        information[np.ix_(one.columns, one.columns)] += weighted.T @ one.jacobians
+        gradient[one.columns] += weighted.T @ one.residuals
+    return information, gradient
+
+
+def pose_covariance(constraints: Sequence[Constraints], cameras: int, anchor: int | None = None
+                    ) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Return the expected covariance of the poses of K registered cameras.
+
+    :param constraints: those of the registered poses.
+    :param cameras: K.
+    :param anchor: a camera whose pose is exact by definition.
+    :returns: (6K, 6K), radians and metres, map axes, each camera's rotation about its own
+        position; and the information matrix (6K, 6K) of independent blocks.
+    """
+    size = 6 * cameras
+    jacobians, residuals, weights, blocks = _in_blocks(constraints, size)
+    count = int(blocks.max(initial=-1)) + 1
+    # Points of a block are consecutive.
+    ends = np.cumsum(np.bincount(blocks, minlength=count))
+    parts = [slice(end - length, end) for end, length in
+             zip(ends, np.bincount(blocks, minlength=count))]
+    total_weight = np.bincount(blocks, weights, count)
+    # The mean of the squared residuals of each block.
+    mean_square = np.bincount(blocks, weights * residuals ** 2, count) / total_weight
+    # A fifth of the variance within a block is common to its points.
+    variance = _block_deviation(residuals, parts) ** 2 + 0.2 * mean_square
+    # A whole block counts as one measurement with this variance, a block of few points as less.
+    fill_share = np.minimum(np.bincount(blocks, minlength=count) / WHOLE_BLOCK_POINTS, 1.0)
+    scale = fill_share / total_weight / variance
+    weighted = jacobians * weights[:, None]
+    information = weighted.T @ jacobians
+    independent = (weighted * scale[blocks, None]).T @ jacobians
+    # A weak prior keeps unconstrained directions solvable.
+    prior = np.full(size, FREE_DEVIATION ** -2.0)
+    if anchor is not None:
+        prior[6 * anchor:6 * anchor + 6] = 1e14
+    covariance = np.linalg.inv(independent + np.diag(prior))
+    # The jackknife: the step of the poses if each block is left out. The gradients of all blocks
+    # add up to about 0, so that of the others is the opposite of that of the block. The prior is
+    # converted from the information of independent blocks to that of all points.
+    ratio = np.trace(independent) / max(np.trace(information), 1e-30)
+    damped = information + np.diag(prior / max(ratio, 1e-12))
+    spread = np.zeros((size, size))
+    for part in parts:
+        left = damped - weighted[part].T @ jacobians[part]
+        step = np.linalg.solve(left, weighted[part].T @ residuals[part])
+        spread += np.outer(step, step)
+    return covariance + (count - 1) / max(count, 1) * spread, independent
+
+
+def _in_blocks(constraints: Sequence[Constraints], size: int
+               ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """
+    Sort the points of constraints by blocks.
+
+    A block has an edge of a metre, one main axis of the normals, and is either of the scan or of
+    pairs of cameras.
+
+    :returns: of all M points with a weight, in the order of their blocks: jacobians (M, size),
+        residuals (M,), weights (M,) and the numbers of their blocks (M,).
+    """
+    rows, cells, residuals, weights = [], [], [], []
+    for one in constraints:
+        # Points of almost no weight are left out.
+        used = one.weights > 1e-9 * max(one.weights.max(initial=0.0), 1e-9)
+        full = np.zeros((np.count_nonzero(used), size))
+        full[:, one.columns] = one.jacobians[used]
+        rows.append(full)
+        cells.append(np.column_stack([
+            np.floor(one.points[used]), np.abs(one.normals[used]).argmax(axis=1),
+            np.full(np.count_nonzero(used), one.other >= 0)]))
+        residuals.append(one.residuals[used])
+        weights.append(one.weights[used])
+    blocks = np.unique(np.concatenate(cells), axis=0, return_inverse=True)[1].ravel()
+    order = np.argsort(blocks, kind='stable')
+    return (np.concatenate(rows)[order], np.concatenate(residuals)[order],
+            np.concatenate(weights)[order], blocks[order])
+
+
+def _block_deviation(residuals: np.ndarray, parts: Sequence[slice]) -> float:
+    """
+    Return the standard deviation of the error that the points of a block have in common, metres.
+
+    :param residuals: (M,) metres, of M points.
+    :param parts: the points of each block.
+    :returns: at least 3 mm; 2 cm if fewer than four blocks are whole.
+    """
+    medians = [np.median(residuals[part]) for part in parts
+               if part.stop - part.start >= WHOLE_BLOCK_POINTS]
+    # Fewer than four whole blocks do not show how accurate the scan is: 2 cm are assumed.
+    if len(medians) < 4:
+        return 0.02
+    # Few panels were scanned from the other side, so the median ignores their errors.
+    # 1.4826 is the standard deviation of a normal distribution over its median absolute deviation.
+    return max(1.4826 * float(np.median(np.abs(medians))), 0.003)
+
+
+def certainties(constraints: Sequence[Constraints], names: Sequence[str], anchor: int | None = None
+                ) -> list[Certainty]:
+    """
+    Return the expected deviations of each of K registered poses, and what holds them.
+
+    :param constraints: those of the registered poses.
+    :param names: of the K cameras.
+    :param anchor: see :func:`pose_covariance`.
+    """
+    covariance, _ = pose_covariance(constraints, len(names), anchor)
+    found = []
+    for k in range(len(names)):
+        own = slice(6 * k, 6 * k + 6)
+        # The information about this camera alone from the scan and from each other camera.
+        sources: dict[str, np.ndarray] = {}
+        for one in constraints:
+            if k in (one.camera, one.other):
+                source = SCAN if one.other < 0 else names[
+                    one.other if one.camera == k else one.camera]
+                half = one.jacobians[:, :6] if one.camera == k else one.jacobians[:, 6:]
+                sources[source] = sources.get(source, np.zeros((6, 6))) + (
+                    half * one.weights[:, None]).T @ half
+        found.append(Certainty.of(covariance[own, own], sources))
+    return found

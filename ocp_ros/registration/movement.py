@@ -1,0 +1,201 @@
+# Copyright 2026 The ocp_ros authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+
+"""
+Find out whether a camera has moved, by its own earlier cloud, and how to put it back.
+
+The earlier cloud is the reference: what the camera measures now is registered to it. Errors that a
+sensor makes in every frame are the same in both, so that a camera that has not moved is found to
+the millimetre, and no scan is needed.
+"""
+
+from collections.abc import Mapping
+import io
+from pathlib import Path
+from typing import NamedTuple
+import zipfile
+
+import numpy as np
+from ocp_ros.geometry.cameras import heading_of, Pose, rotation_matrix
+from ocp_ros.registration.alignment import (
+    aligned_poses,
+    AlignmentStage,
+    Certainty,
+    moved_poses,
+    Poses,
+)
+from ocp_ros.registration.camera_registration import agreement, FINEST_STAGE, sampled
+from ocp_ros.registration.joint_alignment import (
+    all_constraints,
+    certainties,
+    joint_poses,
+    RigCamera,
+)
+from ocp_ros.registration.live_view import LiveView
+from ocp_ros.util.files import read_regular, write_atomically
+from ocp_ros.util.settings import ConfigurationError
+from scipy.spatial.transform import Rotation
+from scipy.stats import qmc
+
+#: Metres and degrees: a camera that moved by more than either has moved.
+MOVED = 0.01, 0.5
+#: The least agreement with the reference at which a movement is certain.
+MIN_AGREEMENT = 0.25
+#: The name of the file of references, beside the placement.
+REFERENCES = 'references.npz'
+#: What the names of arrays in it begin with, before that of the camera.
+PREFIX = 'camera_'
+#: The largest number of points of a reference.
+MAX_POINTS = 60_000
+HERE = Pose(np.zeros(3), np.eye(3))
+
+
+class Movement(NamedTuple):
+    """
+    How a camera has moved since its reference.
+
+    :ivar pose: where it is now, in the body frame of the reference.
+    :ivar metres: how far it has moved in directions that the surfaces hold.
+    :ivar degrees: how far it has turned about axes that the surfaces hold.
+    :ivar agreement: the share of what it sees that is in the reference, less contradictions.
+    """
+
+    pose: Pose
+    metres: float
+    degrees: float
+    agreement: float
+
+    @property
+    def is_lost(self) -> bool:
+        """Return whether the camera sees too little of its reference for its pose to be known."""
+        return self.agreement < MIN_AGREEMENT
+
+    @property
+    def has_moved(self) -> bool:
+        """Return whether the camera has moved, or is lost."""
+        return self.is_lost or self.metres > MOVED[0] or self.degrees > MOVED[1]
+
+    def pose_now(self, reference: Pose) -> Pose:
+        """Return the present pose in the map frame, given that of the reference."""
+        return Pose(reference.position + reference.rotation @ self.pose.position,
+                    reference.rotation @ self.pose.rotation)
+
+
+def movement_since(reference: LiveView, view: LiveView) -> Movement:
+    """
+    Register what a camera sees to what it saw before.
+
+    :param reference: what it saw before.
+    :param view: what it sees now.
+    """
+    start, surfaces = Poses.of(HERE), reference.surfaces
+    # The pose itself, and 32 around it, up to 0.3 m and 12 degrees away.
+    steps = (2.0 * qmc.Sobol(6, seed=0).random(32) - 1.0) * np.repeat([np.deg2rad(12.0), 0.3], 3)
+    starts = moved_poses(Poses(*(np.repeat(values, 33, axis=0) for values in start)),
+                         np.vstack([np.zeros((1, 6)), steps]))
+    ends = aligned_poses(surfaces, sampled(view.patches, 300), starts,
+                         AlignmentStage((0.4, 0.15), (16.0, 4.0), 12))
+    scores = [agreement(view, Pose(position, rotation), reference, HERE)
+              for rotation, position in zip(*ends)]
+    # A distant pose has to be better than that from the place of the reference.
+    scores[0] += 0.02
+    best = ends.subset(np.array([int(np.argmax(scores))]))
+    pair = [RigCamera.of(reference.patches), RigCamera.of(view.patches)]
+    poses = [HERE, Pose(best.positions[0], best.rotations[0])]
+    for stage in (AlignmentStage((0.15, 0.06), (4.0, 1.5), 12), FINEST_STAGE):
+        poses = joint_poses(pair, poses, stage, anchor=0)
+    constraints = all_constraints(pair, poses, [(0, 1), (1, 0)], FINEST_STAGE.max_distances[1],
+                                  FINEST_STAGE.kernel_widths[1])
+    certainty = certainties(constraints, ['reference', 'now'], anchor=0)[1]
+    metres, degrees = _held_movement(poses[1], certainty)
+    return Movement(poses[1], metres, degrees, agreement(view, poses[1], reference, HERE))
+
+
+def _held_movement(pose: Pose, certainty: Certainty) -> tuple[float, float]:
+    """Return the metres and degrees of a movement along the axes on which it is certain."""
+    turn = Rotation.from_matrix(pose.rotation).as_rotvec(degrees=True)
+    along, about = certainty.slide_axes @ pose.position, certainty.turn_axes @ turn
+    return (float(np.linalg.norm(along[np.abs(along) > 3.0 * certainty.metres])),
+            float(np.linalg.norm(about[np.abs(about) > 3.0 * certainty.degrees])))
+
+
+def way_back(movement: Movement, reference: Pose) -> str:
+    """
+    Return in words how a person puts a camera back.
+
+    :param movement: how it has moved.
+    :param reference: its former pose, map frame.
+    :returns: turns first, in degrees, as seen from behind the camera; then displacements, in cm,
+        as seen from there; those below 0.2 degrees and 0.5 cm are left out.
+    """
+    now = movement.pose_now(reference)
+    yaw, pitch, roll = np.rad2deg(heading_of(reference.rotation) - heading_of(now.rotation))
+    # Turns are at most half a circle.
+    yaw, roll = (yaw + 180.0) % 360.0 - 180.0, (roll + 180.0) % 360.0 - 180.0
+    heading = heading_of(reference.rotation)[0]
+    ahead, left, up = 100.0 * rotation_matrix(heading).T @ (reference.position - now.position)
+    turns = [f'{abs(value):.1f} degrees {words[int(value < 0.0)]}' for value, words in (
+        (yaw, ('to the left', 'to the right')), (pitch, ('down', 'up')),
+        (roll, ('clockwise', 'anticlockwise'))) if abs(value) >= 0.2]
+    slides = [f'{words[int(value < 0.0)]} by {abs(value):.1f} cm' for value, words in (
+        (up, ('raise it', 'lower it')), (left, ('move it left', 'move it right')),
+        (ahead, ('move it forward', 'move it back'))) if abs(value) >= 0.5]
+    return '; '.join([*([f'turn it {", ".join(turns)}'] if turns else []), *slides])
+
+
+def save_references(path: Path, clouds: Mapping[str, np.ndarray]) -> None:
+    """
+    Write the clouds of cameras as references for later.
+
+    :param clouds: by the name of the camera: (N, 3) metres, body frame.
+    """
+    content = io.BytesIO()
+    np.savez_compressed(content, **{
+        PREFIX + name: cloud[::max(1, -(-len(cloud) // MAX_POINTS))].astype(np.float32)
+        for name, cloud in clouds.items()})
+    write_atomically(path, content.getvalue())
+
+
+def load_references(path: Path) -> dict[str, np.ndarray]:
+    """
+    Read the references that :func:`save_references` has written, by the name of the camera.
+
+    :raises ConfigurationError: if the file cannot be read.
+    """
+    try:
+        with np.load(io.BytesIO(read_regular(path)), allow_pickle=False) as file:
+            clouds = {name.removeprefix(PREFIX): np.asarray(file[name], dtype=np.float64)
+                      for name in file.files}
+        if any(cloud.ndim != 2 or cloud.shape[1] != 3 for cloud in clouds.values()):
+            raise ValueError('arrays of another shape than (N, 3)')
+    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile) as error:
+        raise ConfigurationError(
+            f'{path}: found no references of cameras ({error}); expected the file that ocp '
+            'calibrate has written beside the placement; run it once without --against') from error
+    return clouds
+
+
+def sentence_of(name: str, movement: Movement, reference: Pose) -> str:
+    """
+    Return a sentence on a camera that has moved.
+
+    :param reference: its former pose, map frame.
+    """
+    if movement.is_lost:
+        return (f'{name} sees {max(100.0 * movement.agreement, 0.0):.0f} % of what it saw before: '
+                'it was turned away or covered, or the room was changed; calibrate it again')
+    back = way_back(movement, reference)
+    return (f'{name} has moved by {100.0 * movement.metres:.1f} cm and {movement.degrees:.1f} '
+            f'degrees; to put it back, {back}')

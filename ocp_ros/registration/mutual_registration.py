@@ -1,0 +1,432 @@
+# Copyright 2026 The ocp_ros authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+
+"""
+Register cameras to each other without a scan: which pose has each in the frame of the others.
+
+Each camera that sees the floor knows which way is up and how high it hangs, so two cameras lack
+only a turn about the vertical and a displacement across the floor. The turn is one at which the
+directions of their walls agree. For each such turn, all displacements are tried at once by
+correlating maps (by the fast Fourier transform): what both see at the same height with the same
+normal counts for a displacement, and surfaces in space that the other camera has measured as free
+count against it. The best ones are registered in all six directions. Then cameras are put together
+one after the other, so that all that see each other agree, and all are registered together.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from ocp_ros.geometry.cameras import Pose, rotation_matrix
+from ocp_ros.registration.alignment import aligned_poses, AlignmentStage, Certainty, Poses
+from ocp_ros.registration.camera_registration import agreement, differ, sampled
+from ocp_ros.registration.joint_alignment import (
+    all_constraints,
+    certainties,
+    joint_poses,
+    overlapping_pairs,
+    relative_pose,
+    RigCamera,
+)
+from ocp_ros.registration.live_view import LiveView
+from scipy.ndimage import gaussian_filter, gaussian_filter1d, maximum_filter
+from scipy.spatial.transform import Rotation
+
+#: Metres: edge of the cells of maps, and half the edge of a map.
+CELL_M, REACH_M = 0.1, 12.8
+#: Metres above the floor: the bands of maps.
+BANDS = ((0.15, 0.8), (0.8, 1.6), (1.6, 4.0))
+#: Metres of height after which the sign of level surfaces repeats.
+TURN_M = 0.5
+#: The weights of level surfaces, and of surfaces in free space.
+TOP_WEIGHT, FREE_WEIGHT = 2.0, 0.1
+#: How many turns of a pair are tried, displacements of each, and how many poses of a pair kept.
+TURNS, SHIFTS, KEPT = 8, 8, 4
+#: Unlikely poses of a rig that are kept while cameras are added.
+BEAM = 3
+
+
+JOINT_STAGES = (AlignmentStage((0.3, 0.1), (8.0, 3.0), 14),
+                AlignmentStage((0.1, 0.06), (3.0, 1.5), 16))
+
+
+class MutualLimits(NamedTuple):
+    """
+    Limits of an accepted pose without a scan, chosen on validation rooms.
+
+    :ivar min_agreement: the least agreement with all others together, for a place in the rig.
+    :ivar min_total: the least agreement of an accepted pose.
+    :ivar min_lead: the least lead in agreement over the next distinct pose.
+    :ivar max_metres: the largest expected deviation, metres.
+    :ivar max_degrees: the largest expected deviation, degrees.
+    """
+
+    min_agreement: float = 0.05
+    min_total: float = 0.2
+    min_lead: float = 0.1
+    max_metres: float = 0.014
+    max_degrees: float = 0.5
+
+
+MUTUAL_LIMITS = MutualLimits()
+
+
+class LevelView(NamedTuple):
+    """
+    A camera's view whose vertical is known.
+
+    :ivar view: what the camera sees.
+    :ivar pose: its pose in a level frame: the origin is on the floor below it, and it looks along
+        x, up or down.
+    :ivar telling: which of its M patches are neither on the floor nor on the ceiling, (M,) bool:
+        those fit at any place.
+    """
+
+    view: LiveView
+    pose: Pose
+    telling: np.ndarray
+
+    def agrees(self, pose: Pose, other: 'LevelView', other_pose: Pose) -> float:
+        """Return how well two cameras agree without floor and ceiling; see ``agreement``."""
+        return agreement(self.view, pose, other.view, other_pose, self.telling, other.telling)
+
+    @classmethod
+    def of(cls, view: LiveView) -> 'LevelView | None':
+        """Find the floor in a view; None if there is none."""
+        floor = floor_of(view.patches.points, view.patches.normals, view.patches.deviation)
+        if floor is None:
+            return None
+        normal, height = floor
+        ahead = np.array([1.0, 0.0, 0.0]) - normal[0] * normal
+        ahead /= np.linalg.norm(ahead)
+        pose = Pose(np.array([0.0, 0.0, height]),
+                    np.stack([ahead, np.cross(normal, ahead), normal]))
+        telling = ((view.patches.points @ normal + height > BANDS[0][0])
+                   & (view.patches.normals @ normal > -0.7))
+        return cls(view, pose, telling)
+
+
+class MutualRegistration(NamedTuple):
+    """
+    The registered pose of a camera in the frame of the rig.
+
+    :ivar pose: the pose; z is up and 0 on the floor.
+    :ivar overlap: how well the camera agrees with all others, see
+        :func:`~ocp_ros.registration.camera_registration.agreement`.
+    :ivar lead: the lead in agreement over the next distinct pose.
+    :ivar certainty: the expected deviations against the first camera.
+    :ivar refused: the reason why the pose must not be used; empty if it can be used.
+    """
+
+    pose: Pose
+    overlap: float
+    lead: float
+    certainty: Certainty
+    refused: str
+
+
+def floor_of(points: np.ndarray, normals: np.ndarray, deviation: np.ndarray
+             ) -> tuple[np.ndarray, float] | None:
+    """
+    Find the largest surface that lies below all others and faces up, within 65 degrees of z.
+
+    :param points: (M, 3) metres, body frame.
+    :param normals: (M, 3) unit vectors.
+    :param deviation: (M,) metres.
+    :returns: the unit normal (3,) of the floor, and the height of the camera above it, metres;
+        None without such a surface of at least 4 % of the points.
+    """
+    upward = np.flatnonzero(normals[:, 2] > np.cos(np.deg2rad(65.0)))
+    tried = np.random.default_rng(0).permutation(upward)[:200]
+    best, best_support = None, 0.04 * len(points)
+    for k in tried:
+        normal, centre = normals[k], points[k]
+        for _ in range(2):
+            above = (points - centre) @ normal
+            near = (np.abs(above) < 2.5 * deviation + 0.02) & (normals @ normal > 0.94)
+            if np.count_nonzero(near) < best_support:
+                break
+            centre = points[near].mean(axis=0)
+            fitted = np.linalg.svd(points[near] - centre, full_matrices=False)[2][2]
+            normal = fitted * np.sign(fitted @ normal)
+        else:
+            above = (points - centre) @ normal
+            support = np.count_nonzero(
+                (np.abs(above) < 2.5 * deviation + 0.02) & (normals @ normal > 0.94))
+            # Flying pixels may lie below the floor.
+            if support >= best_support and np.mean(above < -3.0 * deviation - 0.1) < 0.03:
+                best, best_support = (normal, float(-centre @ normal)), support
+    return best
+
+
+class _Maps(NamedTuple):
+    """
+    Transformed maps (N, N) of a camera for correlation.
+
+    :ivar walls: upright surfaces in bands of height (B, N, N); their normals in the plan as
+        complex numbers, so that the product of two is the cosine between them.
+    :ivar tops: level surfaces; their heights as complex numbers, one turn in ``TURN_M``.
+    :ivar solid: upright surfaces in bands, without normals.
+    :ivar free: space in bands that the camera has measured as free.
+    """
+
+    walls: np.ndarray
+    tops: np.ndarray
+    solid: np.ndarray
+    free: np.ndarray
+
+
+def _maps_of(one: LevelView, yaw: float) -> _Maps:
+    """Return the maps of a camera that stands at the origin and looks in a direction, radians."""
+    turn = rotation_matrix(yaw) @ one.pose.rotation
+    patches = one.view.patches
+    points = patches.points @ turn.T + one.pose.position
+    normals = patches.normals @ turn.T
+    height = points[:, 2]
+    upright = np.abs(normals[:, 2]) < 0.3
+    rays = one.pose.position + np.linspace(0.1, 0.92, 24)[:, None, None] * (
+        points[::3] - one.pose.position)
+    slices = [upright & (height > low) & (height < high) for low, high in BANDS]
+    walls = [_drawn(points[chosen], normals[chosen, 0] + 1j * normals[chosen, 1])
+             for chosen in slices]
+    solid = [_drawn(points[chosen], np.ones(np.count_nonzero(chosen))) for chosen in slices]
+    free = [np.minimum(_drawn(passing, np.ones(len(passing))).real, 1.0) for passing in (
+        rays[(rays[..., 2] > low) & (rays[..., 2] < high)] for low, high in BANDS)]
+    level = (normals[:, 2] > 0.8) & (height > BANDS[0][0])
+    tops = _drawn(points[level], np.exp(2j * np.pi * height[level] / TURN_M))
+    # One cell of blur, since turns and heights are not exact.
+    return _Maps(*map(np.fft.fft2, (_blurred(np.array(walls)), _blurred(tops),
+                                    _blurred(np.array(solid)), np.array(free))))
+
+
+def _drawn(points: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Return a map (N, N) with the sums of the values (M,) of points (M, 3)."""
+    size = round(2.0 * REACH_M / CELL_M)
+    drawn = np.zeros((size, size), dtype=complex)
+    row, column, inside = _cells(points)
+    np.add.at(drawn, (row, column), values[inside])
+    return drawn
+
+
+def _blurred(maps: np.ndarray) -> np.ndarray:
+    """Blur complex maps (..., N, N) by a cell."""
+    sigma = (*(0.0,) * (maps.ndim - 2), 1.0, 1.0)
+    return gaussian_filter(maps.real, sigma) + 1j * gaussian_filter(maps.imag, sigma)
+
+
+def _cells(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the rows and columns of points (N, 3) that a map contains, and which these are."""
+    cells = np.floor((points[:, :2] + REACH_M) / CELL_M).astype(int)
+    inside = np.all((cells >= 0) & (cells < round(2.0 * REACH_M / CELL_M)), axis=1)
+    return cells[inside, 0], cells[inside, 1], inside
+
+
+def _turns_between(one: LevelView, other: LevelView) -> np.ndarray:
+    """Return the turns, radians, of another camera after which its walls are parallel to ours."""
+    spectra = []
+    for level in (one, other):
+        normals = level.view.patches.normals @ level.pose.rotation.T
+        upright = np.abs(normals[:, 2]) < 0.3
+        angle = np.rad2deg(np.arctan2(normals[upright, 1], normals[upright, 0])) % 360.0
+        histogram = np.bincount(angle.astype(int) // 2, minlength=180)
+        spectra.append(np.fft.rfft(gaussian_filter1d(histogram.astype(float), 1.5, mode='wrap')))
+    # Walls of a room look in four directions: half of the weight is for parallel ones.
+    match = np.fft.irfft(spectra[0] * spectra[1].conj(), 180)
+    match = match + np.mean([np.roll(match, 45 * k) for k in range(4)], axis=0)
+    peaks = np.flatnonzero(match == maximum_filter(match, 9, mode='wrap'))
+    return np.deg2rad(2.0 * peaks[np.argsort(-match[peaks])][:TURNS])
+
+
+def pair_poses(one: LevelView, other: LevelView) -> list[tuple[float, Pose]]:
+    """
+    Find the likely poses of a camera in the body frame of another.
+
+    :param one: the camera that stays.
+    :param other: the camera whose pose is wanted.
+    :returns: agreements and poses of ``other``, the best first, at most ``KEPT`` distinct ones.
+    """
+    fixed, starts = _maps_of(one, 0.0), []
+    for yaw in _turns_between(one, other):
+        moved = _maps_of(other, yaw)
+        product = ((fixed.walls * moved.walls.conj()).sum(axis=0)
+                   + TOP_WEIGHT * fixed.tops * moved.tops.conj()
+                   - FREE_WEIGHT * (fixed.free * moved.solid.conj()
+                                    + fixed.solid * moved.free.conj()).sum(axis=0))
+        score = np.fft.ifft2(product).real
+        peaks = np.argwhere(score == maximum_filter(score, 5, mode='wrap'))
+        values = score[tuple(peaks.T)]
+        for k in np.argsort(-values)[:SHIFTS]:
+            shift = (peaks[k] + score.shape[0] // 2) % score.shape[0] - score.shape[0] // 2
+            place = Pose(other.pose.position + np.append(CELL_M * shift, 0.0),
+                         rotation_matrix(yaw) @ other.pose.rotation)
+            starts.append(relative_pose(place, one.pose))
+    return _best_distinct(one, other, starts)
+
+
+def _best_distinct(one: LevelView, other: LevelView, starts: Sequence[Pose]
+                   ) -> list[tuple[float, Pose]]:
+    """Register a view to another from start poses; return the best, see :func:`pair_poses`."""
+    distinct: list[tuple[float, Pose]] = []
+    for patches, limits, steps, kept in ((200, ((0.5, 0.25), (12.0, 6.0)), 10, 12),
+                                         (1000, ((0.3, 0.08), (7.0, 1.5)), 20, KEPT)):
+        poses = aligned_poses(one.view.surfaces, sampled(other.view.patches, patches),
+                              Poses(np.stack([pose.rotation for pose in starts]),
+                                    np.stack([pose.position for pose in starts])),
+                              AlignmentStage(*limits, steps))
+        scored = sorted(((other.agrees(pose, one, HERE), pose)
+                         for pose in map(Pose, poses.positions, poses.rotations)),
+                        key=lambda pair: -pair[0])
+        distinct = []
+        for score, pose in scored:
+            if len(distinct) < kept and all(differ(pose, known) for _, known in distinct):
+                distinct.append((score, pose))
+        starts = [pose for _, pose in distinct]
+    return distinct
+
+
+def register_mutually(views: Mapping[str, LiveView]
+                      ) -> tuple[dict[str, MutualRegistration], dict[str, str]]:
+    """
+    Register cameras to each other.
+
+    :param views: what each camera sees, by name.
+    :returns: the registrations, and the reasons why cameras have none, by name. In the frame of
+        the poses, z is up and 0 on the floor, x is along the walls, and the lowest corner of what
+        all cameras see is the origin.
+    """
+    level = {name: one for name, view in views.items() if (one := LevelView.of(view)) is not None}
+    reasons = {name: 'it sees no floor; tilt it down' for name in views if name not in level}
+    names = list(level)
+    links = {(a, b): pair_poses(level[a], level[b]) for k, a in enumerate(names)
+             for b in names[k + 1:]}
+    links |= {(b, a): [(score, relative_pose(HERE, pose)) for score, pose in found]
+              for (a, b), found in list(links.items())}
+    poses = _assembled(level, links)
+    reasons |= {name: 'it agrees with no other camera: too little of what it sees is seen by '
+                'others; turn it to what another one sees' for name in names if name not in poses}
+    if not poses:
+        return {}, reasons
+    leads = {name: _lead(level, links, poses, name) for name in poses}
+    placed = list(poses)
+    totals = [_total(level, poses, name, poses[name]) for name in placed]
+    anchor = int(np.argmax(totals))
+    rig = [RigCamera.of(views[name].patches) for name in placed]
+    joint = list(poses.values())
+    for stage in JOINT_STAGES:
+        joint = joint_poses(rig, joint, stage, anchor)
+    joint = _levelled([level[name] for name in placed], joint)
+    limits = JOINT_STAGES[-1].max_distances[1], JOINT_STAGES[-1].kernel_widths[1]
+    constraints = all_constraints(rig, joint, overlapping_pairs(rig, joint, limits[0]), *limits)
+    found = {}
+    for k, (name, certainty) in enumerate(zip(placed, certainties(constraints, placed, anchor))):
+        found[name] = MutualRegistration(
+            joint[k], totals[k], leads[name], certainty,
+            _refusal(totals[k], leads[name], certainty))
+    return found, reasons
+
+
+HERE = Pose(np.zeros(3), np.eye(3))
+_Links = Mapping[tuple[str, str], list[tuple[float, Pose]]]
+
+
+def _within(pose: Pose, base: Pose) -> Pose:
+    """Return a pose, given in the body frame of a camera at ``base``, in the frame of ``base``."""
+    return Pose(base.position + base.rotation @ pose.position, base.rotation @ pose.rotation)
+
+
+def _total(level: Mapping[str, LevelView], poses: Mapping[str, Pose], name: str, pose: Pose
+           ) -> float:
+    """Return how well a camera at a pose agrees with all placed cameras but itself."""
+    return sum(level[name].agrees(pose, level[other], place)
+               for other, place in poses.items() if other != name)
+
+
+def _assembled(level: Mapping[str, LevelView], links: _Links) -> dict[str, Pose]:
+    """
+    Put cameras together one after the other, so that all agree.
+
+    :param links: likely poses of the second camera of each pair in the frame of the first.
+    :returns: the poses of those that agree with others, in the frame of one of them.
+    """
+    starts = sorted(((score, pair, pose) for pair, found in links.items() if pair[0] < pair[1]
+                     for score, pose in found), key=lambda one: -one[0])
+    rigs = [(score, {a: HERE, b: pose}) for score, (a, b), pose in starts[:BEAM]
+            if score > MUTUAL_LIMITS.min_agreement]
+    for _ in range(len(level) - 2):
+        grown = []
+        for total, poses in rigs:
+            for name in [name for name in level if name not in poses]:
+                likely: list[Pose] = []
+                for place in [_within(pose, base) for other, base in poses.items()
+                              for _, pose in links[other, name]]:
+                    if all(differ(place, one) for one in likely):
+                        likely.append(place)
+                scores = [_total(level, poses, name, place) for place in likely]
+                grown += [(total + score, {**poses, name: place}) for score, place in zip(
+                    scores, likely) if score > MUTUAL_LIMITS.min_agreement]
+        if not grown:
+            break
+        rigs = sorted(grown, key=lambda one: -one[0])[:BEAM]
+    return rigs[0][1] if rigs else {}
+
+
+def _lead(level: Mapping[str, LevelView], links: _Links, poses: Mapping[str, Pose], name: str
+          ) -> float:
+    """Return the lead in agreement of a placed camera's pose over its other likely poses."""
+    others = [_within(pose, base) for other, base in poses.items() if other != name
+              for _, pose in links[other, name]]
+    own = _total(level, poses, name, poses[name])
+    return own - max((_total(level, poses, name, place) for place in others
+                      if differ(place, poses[name], (0.2, np.deg2rad(6.0)))), default=0.0)
+
+
+def _levelled(level: Sequence[LevelView], poses: Sequence[Pose]) -> list[Pose]:
+    """Return poses in a frame on the floor that the cameras see, with its axes along the walls."""
+    up = np.sum([pose.rotation @ one.pose.rotation[2] for one, pose in zip(level, poses)], axis=0)
+    turn = Rotation.align_vectors([[0.0, 0.0, 1.0]], [up])[0].as_matrix()
+    poses = [Pose(turn @ pose.position, turn @ pose.rotation) for pose in poses]
+    normals = np.concatenate([one.view.patches.normals @ pose.rotation.T
+                              for one, pose in zip(level, poses)])
+    normals = normals[np.abs(normals[:, 2]) < 0.3]
+    # Walls look in four directions: the fourth power makes them one.
+    direction = np.angle(((normals[:, 0] + 1j * normals[:, 1]) ** 4).sum()) / 4.0
+    turn = rotation_matrix(-direction)
+    poses = [Pose(turn @ pose.position, turn @ pose.rotation) for pose in poses]
+    points = np.concatenate([one.view.patches.points @ pose.rotation.T + pose.position
+                             for one, pose in zip(level, poses)])
+    floor = np.mean([pose.position[2] - one.pose.position[2] for one, pose in zip(level, poses)])
+    origin = np.append(np.percentile(points[:, :2], 0.2, axis=0), floor)
+    return [Pose(pose.position - origin, pose.rotation) for pose in poses]
+
+
+def _refusal(total: float, lead: float, certainty: Certainty) -> str:
+    """Return the reason why a pose must not be used; empty if it can be used."""
+    if total < MUTUAL_LIMITS.min_total:
+        return (f'what it sees agrees with the other cameras by {100.0 * total:.0f} %, '
+                f'{100.0 * MUTUAL_LIMITS.min_total:.0f} % are needed; turn it to what another one '
+                'sees')
+    if lead < MUTUAL_LIMITS.min_lead:
+        return ('another pose agrees with the other cameras about as well; turn it to something '
+                'that another one sees and that is there only once')
+    if certainty.loose_motions:
+        return (f'it {" and ".join(certainty.loose_motions)}: too little of what it sees is seen '
+                'by others')
+    if (certainty.metres[0] > MUTUAL_LIMITS.max_metres
+            or certainty.degrees[0] > MUTUAL_LIMITS.max_degrees):
+        return (f'it may be off by {1000.0 * certainty.metres[0]:.0f} mm and '
+                f'{certainty.degrees[0]:.1f} degrees against the other cameras, at most '
+                f'{1000.0 * MUTUAL_LIMITS.max_metres:.0f} mm and {MUTUAL_LIMITS.max_degrees:g} '
+                'degrees are allowed')
+    return ''

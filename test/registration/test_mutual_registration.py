@@ -1,0 +1,147 @@
+# Copyright 2026 The ocp_ros authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+
+"""ocp calibrate without a scan: cameras find each other, and one that moved is named."""
+
+from pathlib import Path
+
+from benchmarks.calibration_bench import cast, off
+from conftest import printed, refused
+import numpy as np
+from ocp_ros.geometry.cameras import heading_of, OPTICAL_TO_BODY, Pose
+from ocp_ros.registration.calibration import model_of_cloud
+from ocp_ros.registration.joint_alignment import relative_pose
+from ocp_ros.registration.live_view import LiveView
+from ocp_ros.registration.movement import Movement, movement_since, way_back
+from ocp_ros.registration.mutual_registration import HERE, LevelView, register_mutually
+from ocp_ros.registration.steady_cloud import steady_cloud
+from ocp_ros.rig.placement_file import load_placement
+from ocp_ros.rig.sensors import SENSORS
+from ocp_ros.rooms.generator import mesh_of, plan_of
+from ocp_ros.scenes.meshes import MeshRays
+from ocp_ros.scenes.scene_files import load_scene
+import pytest
+
+SEED, SENSOR = 532, 'realsense_d455'
+MODEL = SENSORS[SENSOR].model
+SIZE = plan_of(SEED).size
+#: Three corners, each looking at the middle and down.
+TRUE = [Pose.of(np.array([x, y, 2.2, np.arctan2(0.5 * SIZE[1] - y, 0.5 * SIZE[0] - x), 0.5, 0.0]))
+        for x, y in ((0.3, 0.3), (SIZE[0] - 0.3, 0.4), (0.4, SIZE[1] - 0.3))]
+
+
+def seen_from(pose, seed=0):
+    """Return what a camera measures in ten frames, in its body frame."""
+    rays = MeshRays(mesh_of(plan_of(SEED)))
+    return steady_cloud(cast(rays, pose, SENSOR, 10, 1, np.random.default_rng(seed)))
+
+
+@pytest.fixture(scope='module')
+def clouds():
+    """Return what three cameras see, by name."""
+    return {f'cam_{k}': seen_from(pose, k) for k, pose in enumerate(TRUE)}
+
+
+def assert_near(pose, true, metres, degrees):
+    """Assert that a pose is near another one."""
+    away, turn = pose.away_from(true)
+    assert away < metres and turn < np.deg2rad(degrees)
+
+
+def test_the_floor_says_how_a_camera_is_tilted_and_how_high_it_hangs(clouds):
+    level = LevelView.of(LiveView(clouds['cam_0'], MODEL))
+    _, pitch, roll = heading_of(level.pose.rotation)
+    assert level.pose.position[2] == pytest.approx(2.2, abs=0.01)
+    assert np.rad2deg([pitch, roll]) == pytest.approx(np.rad2deg([0.5, 0.0]), abs=0.3)
+    above = clouds['cam_0'][clouds['cam_0'] @ TRUE[0].rotation[2] > -1.0]
+    assert LevelView.of(LiveView(above[above[:, 0] > 2.5], MODEL)) is None
+
+
+def test_cameras_find_each_other_and_one_of_another_room_is_refused(clouds):
+    elsewhere = cast(MeshRays(mesh_of(plan_of(501))), TRUE[0], SENSOR)[0]
+    views = {name: LiveView(cloud, MODEL) for name, cloud in (
+        *clouds.items(), ('other', elsewhere))}
+    found, reasons = register_mutually(views)
+    assert 'other' in reasons or found['other'].refused
+    for k in (1, 2):
+        one, base = found[f'cam_{k}'], found['cam_0']
+        assert not one.refused and not base.refused
+        assert_near(relative_pose(one.pose, base.pose), relative_pose(TRUE[k], TRUE[0]), 0.02, 0.7)
+    heights = [found[f'cam_{k}'].pose.position[2] for k in range(3)]
+    assert heights == pytest.approx([2.2] * 3, abs=0.02)
+
+
+@pytest.mark.parametrize('metres, degrees', [(0.0, 0.0), (0.02, 0.0), (0.0, 1.0), (0.15, 6.0)])
+def test_a_camera_that_moved_is_named_and_one_that_did_not_is_not(clouds, metres, degrees):
+    now = off(TRUE[0], metres, degrees, np.random.default_rng(3))
+    found = movement_since(LiveView(clouds['cam_0'], MODEL), LiveView(seen_from(now), MODEL))
+    assert found.has_moved == (metres + degrees > 0.0) and not found.is_lost
+    assert_near(found.pose_now(TRUE[0]), now, 0.01, 0.4)
+
+
+def test_a_person_is_told_how_to_put_a_camera_back():
+    reference = Pose.of(np.array([1.0, 2.0, 2.2, 0.5 * np.pi, 0.4, 0.0]))
+    # It hangs 3 cm lower and 2 cm nearer to what it looks at; it looks 4 degrees to the right and
+    # 2 degrees up.
+    now = Pose.of(np.array([1.0, 2.02, 2.17, 0.5 * np.pi - np.deg2rad(4.0),
+                            0.4 - np.deg2rad(2.0), 0.0]))
+    movement = Movement(relative_pose(now, reference), 0.04, 4.5, 0.9)
+    assert way_back(movement, reference) == (
+        'turn it 4.0 degrees to the left, 2.0 degrees down; raise it by 3.0 cm; '
+        'move it back by 2.0 cm')
+    assert way_back(movement._replace(pose=HERE), reference) == ''
+
+
+def test_files_alone_give_a_placement_a_room_and_references(clouds, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name, cloud in clouds.items():
+        Path(name).mkdir()
+        for number in range(2):
+            np.save(f'{name}/{number}.npy', cloud @ OPTICAL_TO_BODY)
+    found = printed(capsys, 'calibrate', '--clouds', *clouds, '--sensor', 'd455')
+    assert [row['refused'] for row in found['cameras']] == ['', '', '']
+    built = load_placement('out/built/placement.yaml')
+    poses = [Pose.of(one.pose) for one in built.cameras]
+    assert_near(relative_pose(poses[1], poses[0]), relative_pose(TRUE[1], TRUE[0]), 0.02, 0.7)
+    assert load_scene('out/built/room.ply').bounds[0, 2] == pytest.approx(0.0, abs=0.1)
+    assert printed(capsys, 'info', 'out/built/room.ply')['points'] > 10_000
+    # A camera was turned since.
+    moved = off(TRUE[1], 0.0, 3.0, np.random.default_rng(1))
+    np.save('cam_1/0.npy', seen_from(moved) @ OPTICAL_TO_BODY)
+    Path('cam_1/1.npy').unlink()
+    rows = printed(capsys, 'calibrate', '--against', 'out/built/placement.yaml', '--clouds',
+                   *clouds, '--out', 'out/now')['cameras']
+    assert [row['moved'] for row in rows] == [False, True, False]
+    assert 'turn it' in rows[1]['put_back'] and rows[1]['moved_degrees'] > 2.0
+    now = load_placement('out/now/placement.yaml')
+    assert now.cameras[0].position == built.cameras[0].position
+    assert_near(relative_pose(Pose.of(now.cameras[1].pose), poses[0]),
+                relative_pose(moved, TRUE[0]), 0.025, 0.7)
+
+
+@pytest.mark.parametrize('arguments, words', [
+    (['room.ply', '--clouds', 'a.npy'], 'ROOM'), (['--against', 'a.yaml', '--sensor', 'd455',
+                                                   '--clouds', 'a.npy'], '--against and --sensor'),
+    (['--clouds', 'empty'], 'no file')])
+def test_what_does_not_go_together_is_refused(capsys, tmp_path, monkeypatch, arguments, words):
+    monkeypatch.chdir(tmp_path)
+    Path('empty').mkdir()
+    assert words in refused(capsys, 'calibrate', *arguments)
+
+
+def test_a_model_without_a_sensor_contains_what_was_seen(clouds):
+    model = model_of_cloud(clouds['cam_0'])
+    assert np.rad2deg(model.horizontal_fov) == pytest.approx(87.0, abs=8.0)
+    assert len(LiveView(clouds['cam_0'], model).points) > 0.98 * len(clouds['cam_0'])
