@@ -18,7 +18,7 @@ import ast
 import re
 import shlex
 
-from benchmarks.docs.sensor_table import rows
+from benchmarks.docs.sensor_table import bandwidth_rows, rows
 from conftest import made_room, ROOT
 from ocp_ros.cli import main as cli
 from ocp_ros.rig import schemas
@@ -42,7 +42,8 @@ def test_every_parameter_is_on_its_page_as_it_is():
 def test_every_sensor_and_planner_is_in_its_table():
     # Where they differ, python -m benchmarks.docs.sensor_table prints what belongs there.
     text = (DOCS / 'reference' / 'sensors.md').read_text()
-    assert [line for line in text.splitlines() if line.startswith('| `')] == rows()
+    assert [line for line in text.splitlines() if line.startswith('| `')] == [
+        *rows(), *bandwidth_rows()]
     text = (DOCS / 'reference' / 'planners.md').read_text()
     assert re.findall(r'^\| `(\w+)` \|', text, re.M) == [*planner_names(SCORES, OBSERVED)]
 

@@ -16,6 +16,7 @@
 
 import numpy as np
 from ocp_ros.geometry.cameras import CameraModel
+from ocp_ros.rig.connections import CONNECTIONS
 from ocp_ros.rig.sensors import SENSORS
 
 
@@ -53,5 +54,15 @@ def rows() -> list[str]:
     return lines
 
 
+def bandwidth_rows() -> list[str]:
+    """Return one line of Markdown per sensor: light, interface and the bandwidth of its modes."""
+    lines = []
+    for name, connection in CONNECTIONS.items():
+        modes = '; '.join(f'{mode.pixels[0]} x {mode.pixels[1]} at {mode.rate:g} Hz: '
+                          f'**{mode.mbit_s:.0f}**' for mode in connection.modes)
+        lines.append(f'| `{name}` | {connection.light} | {connection.interface} | {modes} |')
+    return lines
+
+
 if __name__ == '__main__':
-    print('\n'.join(rows()))
+    print('\n'.join([*rows(), '', *bandwidth_rows()]))

@@ -273,6 +273,10 @@ def details_of(found: Mapping[str, Any]) -> Iterator[str]:
         low, high = (', '.join(f'{value:.2f}' for value in place[end]) for end in ('low', 'high'))
         yield f'missed: {percent(place["share"])} from ({low}) to ({high})'
     yield one_more_line(found['one_more'])
+    if (light := scores.get('interference')) and light['pairs']:
+        yield (f'{count_text(len(light["pairs"]), "pair")} of cameras light the same surfaces and '
+               f'disturb each other: trigger them in {len(light["slots"])} time slots: '
+               + '; '.join(', '.join(slot) for slot in light['slots']))
     if planned:
         yield (f'as planned: depth error {metres(planned["depth_error"])}, space coverage '
                f'{planned["space_coverage"]:.1f} m³, {percent(planned["seen"])} of the points '

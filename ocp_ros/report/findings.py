@@ -31,8 +31,10 @@ from typing import Any
 
 import numpy as np
 from ocp_ros.geometry.packed_bits import Subset
+from ocp_ros.rig.connections import bandwidth_notes, light_of
 from ocp_ros.rig.feasible_region import FeasibleRegion, satisfies_spacing
 from ocp_ros.rig.plausibility import angle_notes, missing_surfaces, room_notes
+from ocp_ros.simulation.interference import MAX_LIT_SHARE, time_slots
 from ocp_ros.simulation.objective import Objective, RigEvaluation
 from ocp_ros.simulation.problem import Problem
 from ocp_ros.simulation.simulator import View
@@ -65,6 +67,7 @@ def evaluate_placement(problem: Problem, poses: np.ndarray) -> dict[str, Any]:
             'notes': [*problem.region.fixed_notes(),
                       *angle_notes(fixed_angles, problem.rig.models), *room_notes(scene),
                       *missing_surface_notes(missing), *scene.notes,
+                      *bandwidth_notes(problem.rig.all_cameras),
                       *_missed_notes(improvement['missed']['share']),
                       *_unseen_room_notes(scores.get('rooms', ()))],
             'remarks': list(scene.remarks)}
@@ -99,7 +102,7 @@ def scores_of(objective: Objective, views: Sequence[View]) -> dict[str, Any]:
 def camera_scores(objective: Objective, views: Sequence[View]) -> dict[str, Any]:
     """Return those scores of :func:`scores_of` that are about a camera or a pair of cameras."""
     contributions = zip(objective.rig.all_cameras, objective.contributions(views))
-    return {**_calibration_links(objective, views), 'cameras': [
+    return {**_calibration_links(objective, views), **_interference(objective, views), 'cameras': [
         {'name': camera.name, 'depth_error': gain.depth_error, 'only': gain.only}
         for camera, gain in contributions]}
 
@@ -172,6 +175,36 @@ def _calibration_links(objective: Objective, views: Sequence[View]) -> dict[str,
                   for i, k in pairs if covisibility.linked(i, k) or (i, k) in tree]}}
 
 
+def _interference(objective: Objective, views: Sequence[View]) -> dict[str, Any]:
+    """Return which cameras disturb each other, and time slots for them; {} for other sensors."""
+    cameras, shares = objective.rig.all_cameras, objective.lit_shares(views)
+    conflicts = shares > MAX_LIT_SHARE
+    if not shares.any():
+        return {}
+    slots = time_slots(conflicts)
+    return {'interference': {
+        'allowed': not objective.rig.no_interference,
+        'pairs': [{'cameras': [cameras[i].name, cameras[k].name], 'light': light_of(cameras[i]),
+                   'shared': float(shares[i, k])} for i, k in np.argwhere(np.triu(conflicts))],
+        # Cameras without a conflict are in the first slot.
+        'slots': [[camera.name for camera, own in zip(cameras, slots) if own == slot]
+                  for slot in range(max(slots) + 1)]}}
+
+
+def _interference_sentences(scores: dict[str, Any]) -> list[str]:
+    """Return a sentence if cameras disturb each other although the rig forbids it."""
+    found = scores.get('interference', {'allowed': True})
+    if found['allowed'] or not found['pairs']:
+        return []
+    worst = max(found['pairs'], key=lambda pair: pair['shared'])
+    first, second = worst['cameras']
+    return [f'interference: found {len(found["pairs"])} pairs of cameras that light the same '
+            f'surfaces, most of all {first} and {second} ({worst["light"]}) with '
+            f'{100.0 * worst["shared"]:.1f} % of their points; expected at most '
+            f'{100.0 * MAX_LIT_SHARE:.0f} %; turn them apart, or trigger the cameras in '
+            f'{len(found["slots"])} time slots and leave out interference: none']
+
+
 def broken_by(region: FeasibleRegion, poses: np.ndarray, scores: dict[str, Any]) -> list[str]:
     """
     Return a sentence for each violated constraint, regions and requirements included.
@@ -188,7 +221,8 @@ def broken_by(region: FeasibleRegion, poses: np.ndarray, scores: dict[str, Any])
         f'{score["region"] or "the room"}: found {100.0 * score["share"]:.1f} % of the points '
         f'with {score["require"]}; expected {100.0 * score["asked"]:.1f} % (require); move '
         'cameras nearer, use better ones or more, or lower the requirement'
-        for score in scores.get('requirements', ()) if not score['met']] + _group_sentences(scores)
+        for score in scores.get('requirements', ()) if not score['met']] + [
+            *_group_sentences(scores), *_interference_sentences(scores)]
 
 
 def _group_sentences(scores: dict[str, Any]) -> list[str]:

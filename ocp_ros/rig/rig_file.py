@@ -248,6 +248,7 @@ class Rig:
     :ivar regions: the regions with additional weights or shares that must be seen.
     :ivar requirements: what the whole room and regions require of the cameras that see them.
     :ivar seen_by: the number of cameras that have to see a point.
+    :ivar no_interference: whether no two cameras may disturb each other by their light.
     :ivar calibratable: the condition for links between cameras, which have to connect all of them;
         None if not required.
     :ivar document: the document that the rig was read from; empty if there is none.
@@ -265,6 +266,7 @@ class Rig:
     regions: tuple[Region, ...]
     requirements: tuple[Requirement, ...]
     seen_by: int
+    no_interference: bool
     calibratable: Calibratable | None
     document: Document
 
@@ -281,7 +283,8 @@ class Rig:
         return cls(
             cameras, (), Mount('box', (config.height, config.height)), pitch=(0.0, 0.5 * np.pi),
             rolls=(0.0,), keep_clear=0.0, spacing=0.0, keep_out=(), keep_in=(), regions=(),
-            requirements=(), seen_by=1, calibratable=None, document=Document('rig', {}))
+            requirements=(), seen_by=1, no_interference=False, calibratable=None,
+            document=Document('rig', {}))
 
     @property
     def free(self) -> bool:
@@ -523,7 +526,8 @@ def rig_from(document: Document) -> Rig:
         keep_clear=float(data.get('keep_clear', 0.2)), spacing=float(data.get('spacing', 0.2)),
         keep_out=zones_of(document, 'keep_out'), keep_in=zones_of(document, 'keep_in'),
         regions=regions, requirements=tuple(_requirements(document, regions, models)),
-        seen_by=seen_by, calibratable=_calibratable(data), document=document)
+        seen_by=seen_by, no_interference='interference' in data.get('require', {}),
+        calibratable=_calibratable(data), document=document)
 
 
 def _cameras(document: Document) -> tuple[tuple[Camera, ...], tuple[FixedCamera, ...]]:
@@ -670,7 +674,8 @@ def _requirements(document: Document, regions: Sequence[Region], models: dict[st
     for parents, region in parts:
         keys = (*parents, 'require')
         data = document.value(*parents).get('require')
-        if data is None:
+        # Interference is about pairs of cameras, not about points.
+        if data is None or data.keys() == {'interference'}:
             continue
         if region is not None and region.air is not None:
             raise document.error(keys, 'it in a region of air', 'a region of points', 'write '

@@ -99,6 +99,9 @@ REQUIRE = mapping(
     share=number('the share of the points that has to meet it, above 0, at most 1', 0.95,
                  exclusiveMinimum=0, maximum=1)) | {'minProperties': 1, 'remedies': {
                      'density': "write 'pixel_density'", 'accuracy': "write 'depth_accuracy'"}}
+#: What the whole room requires.
+ROOM_REQUIRE: Schema = REQUIRE | {'properties': {
+    **REQUIRE['properties'], 'interference': one_of(('none',), 'none')}}
 POSITION = many('x, y and z in metres, map frame', POINT, [1.0, 2.0, 2.2], 3, 3)
 ANGLES: dict[str, Schema] = {
     'yaw': number('degrees counter-clockwise from the x axis, -360 to 360', 90.0, minimum=-360,
@@ -198,7 +201,7 @@ RIG = mapping(
     regions=many('a list of regions', REGION,
                  [{'name': 'table', 'box': [[1, 1, 0.5], [2, 2, 1.2]]}], 0, 1000),
     seen_by=whole('a whole number of cameras, 1 or more', 2, minimum=1, maximum=64),
-    require=REQUIRE,
+    require=ROOM_REQUIRE,
     calibratable=mapping(
         'a mapping with overlap, angle or neither', {'overlap': 0.2, 'angle': 60}, (),
         overlap=number('a share above 0, at most 1', 0.2, exclusiveMinimum=0, maximum=1),

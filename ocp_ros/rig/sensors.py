@@ -103,6 +103,16 @@ SENSORS = {
                         'Seeed Studio, wiki page of the Orbbec Gemini 2: ideal range 0.2 to 5 m, '
                         '91 x 66 degrees, 1280 x 800; depth accuracy 2 % at 2 m, here with '
                         'the square of the distance, as that of stereo'),
+    'gemini_335': _sensor(
+        'Orbbec Gemini 335', (0.25, 6.0), (90.0, 65.0), (1280, 800), DepthNoise(quadratic=0.0075),
+        'Orbbec, Gemini 335 product page: ideal range 0.25 to 6 m, depth 90 x 65 degrees, up to '
+        '1280 x 800 at 30 Hz; spatial precision 1.5 % at 2 m, here with the square of the '
+        'distance, as that of stereo'),
+    'oak_d_pro': _sensor(
+        'Luxonis OAK-D Pro', (0.8, 12.0), (80.0, 55.0), (1280, 800), DepthNoise(quadratic=0.005),
+        'Luxonis, OAK-D Pro documentation: OV9282 pair, 80 x 55 degrees, 1280 x 800, baseline '
+        '75 mm, ideal range about 0.8 to 12 m; error below 2 % up to 4 m, 4 % up to 7 m and 6 % '
+        'up to 10 m, which this parabola reaches at 4 m'),
     'zed_2i_wide': _sensor(
         'Stereolabs ZED 2i, 2.1 mm lens, HD720', (0.3, 12.0), (93.0, 61.0), (1280, 720),
         DepthNoise(quadratic=0.01 / 3.0),
@@ -115,6 +125,20 @@ SENSORS = {
         DepthNoise(0.0015, -0.0005, 0.0003, 0.0001),
         'Microsoft, Kinect for Windows v2 hardware features: 0.5 to 4.5 m, 70 x 60 degrees. '
         'Noise: Fankhauser et al., Kinect v2 for Mobile Robot Navigation, ICAR 2015, axial'),
+    'helios2': _sensor(
+        'LUCID Helios2', (0.3, 8.3), (69.0, 51.0), (640, 480), DepthNoise(linear=0.001),
+        'LUCID, Helios2 product page: Sony IMX556, 0.3 to 8.3 m, 69 x 51 degrees, 640 x 480 at '
+        '30 Hz; precision below 1 mm at 1 m, here with the distance'),
+    'zivid_2_m70': _sensor(
+        'Zivid 2 M70', (0.5, 1.1), (56.6, 35.6), (1944, 1200), DepthNoise(quadratic=0.000112),
+        'Zivid, Zivid 2 M70 data sheet: optimal distance 0.5 to 1.1 m, 754 x 449 mm at 0.7 m, '
+        'point precision 55 um there, here with the square of the distance. Zivid support: '
+        '1944 x 1200'),
+    'phoxi_m': _sensor(
+        'Photoneo PhoXi 3D Scanner M', (0.458, 1.118), (47.5, 36.0), (2064, 1544),
+        DepthNoise(constant=0.0001),
+        'Photoneo, PhoXi 3D Scanner M product page: 458 to 1118 mm, 2064 x 1544, temporal noise '
+        '0.1 mm. Photoneo wiki, PhoXi 3D scanners family: projection angles 47.5 x 36 degrees'),
     'velodyne_vlp16': _sensor(
         'Velodyne VLP-16 spinning lidar, 10 Hz', (1.0, 100.0), (360.0, 30.0), (1800, 16),
         DepthNoise(constant=0.03),

@@ -447,6 +447,14 @@ def search(problem: Problem, pool: CandidatePool, budget: Budget, seed: int,
     """
     if unprovable_reason(problem.objective):
         return anneal(problem, pool, budget, seed, start, progress)
+    if problem.rig.no_interference and not start:
+        # The grid of poses knows nothing of pairs, so a placement that keeps cameras apart is one
+        # of those that are refined. Half of the budget is for finding it.
+        half = budget.restarted(budget.seconds and 0.5 * budget.seconds)
+        half.evaluations = budget.evaluations and max(budget.evaluations // 2, 1)
+        start = anneal(problem, pool, half, seed).sites
+        budget = budget.restarted(half.seconds)
+        budget.evaluations = half.evaluations
     solver = ColumnGenerationSearch(problem, pool, budget, seed, start)
     report = progress and (lambda: progress(solver.used_share(), solver.least_loss))
     return run_threads([solver.run], budget, report)[0]

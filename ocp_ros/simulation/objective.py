@@ -21,6 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 from ocp_ros.geometry.packed_bits import count_bits, no_bits, pack, seen_by, Subset, unpack
+from ocp_ros.rig.connections import light_of
 from ocp_ros.rig.feasible_region import floor_space
 from ocp_ros.rig.free_plane import CELL_M, FreePlane
 from ocp_ros.rig.rig_file import Region, Rig
@@ -32,6 +33,7 @@ from ocp_ros.simulation.covisibility import (
     SHARE_TOLERANCE,
     watched_share,
 )
+from ocp_ros.simulation.interference import lit_shares, MAX_LIT_SHARE
 from ocp_ros.simulation.simulator import Simulator, View
 from ocp_ros.util.settings import ConfigurationError, MAX_CAMERAS
 
@@ -52,7 +54,8 @@ class RigEvaluation(NamedTuple):
     :ivar regions: (R,) of each of R regions, the share of its points, or of its cells of air,
         that is seen.
     :ivar seen: the points that enough cameras see.
-    :ivar connected: whether links connect all cameras, or the rig requires no links.
+    :ivar connected: whether links connect all cameras and no two cameras disturb each other, as
+        far as the rig requires that.
     :ivar requirements: (Q,) the share of the points that meets each requirement of the rig.
     """
 
@@ -251,20 +254,20 @@ class Objective:
             :meth:`~ocp_ros.simulation.simulator.Simulator.look`.
         """
         all_views = self._with_fixed(views)
-        link_cost = self._link_cost(views)
+        pair_cost = self._pair_cost(views)
         seen = self._seen(all_views)
         # The cells that at least ``rig.seen_by`` cameras see.
         covered = seen_by([view.covered for view in all_views], self.rig.seen_by)[-1]
         loss, error, shares, met = self._loss_of(seen, all_views)
-        # A cost of links within the tolerance is a rounding error.
+        # A cost of pairs within the tolerance is a rounding error.
         return RigEvaluation(
-            loss + link_cost, error, self.simulator.coverage(covered), shares,
-            Subset(seen, self._order), link_cost <= SHARE_TOLERANCE, met)
+            loss + pair_cost, error, self.simulator.coverage(covered), shares,
+            Subset(seen, self._order), pair_cost <= SHARE_TOLERANCE, met)
 
     def loss(self, views: Sequence[View]) -> float:
         """Return the loss of :meth:`evaluate_views`, without the rest of the evaluation."""
         all_views = self._with_fixed(views)
-        return self._loss_of(self._seen(all_views), all_views)[0] + self._link_cost(views)
+        return self._loss_of(self._seen(all_views), all_views)[0] + self._pair_cost(views)
 
     def depth_error(self, views: Sequence[View]) -> float:
         """Return the depth error of :meth:`evaluate_views`, metres, without the rest."""
@@ -285,7 +288,7 @@ class Objective:
         # A region of air may require more cameras than the rig requires for points.
         losses = [self._loss_of(seen[min(count, len(seen)) - 1], all_views, count)[0]
                   for count in range(1, max(counts) + 1)]
-        return float(np.mean(losses)) + self._link_cost(views)
+        return float(np.mean(losses)) + self._pair_cost(views)
 
     def _loss_of(self, seen: np.ndarray, views: Sequence[View], max_seen_by: int = MAX_CAMERAS
                  ) -> tuple[float, float, np.ndarray, np.ndarray]:
@@ -366,10 +369,29 @@ class Objective:
             return None
         return covisibility(self._points, views, condition, len(self.fixed))
 
-    def _link_cost(self, views: Sequence[View]) -> float:
-        """Return the cost of missing links between cameras."""
+    def lit_shares(self, views: Sequence[View]) -> np.ndarray:
+        """
+        Return what pairs of C cameras that may disturb each other light in common.
+
+        :param views: as for :meth:`evaluate_views`, of the first cameras of the rig.
+        :returns: (C, C) shares; see :func:`~ocp_ros.simulation.interference.lit_shares`.
+        """
+        cameras = (*self.rig.cameras[:len(views)], *(one.camera for one in self.rig.fixed))
+        return lit_shares(self._points, self._with_fixed(views), cameras)
+
+    def _pair_cost(self, views: Sequence[View]) -> float:
+        """Return the cost of missing links and of interference between cameras."""
         covisible = self.covisibility(views)
-        return 0.0 if covisible is None else MUST_SEE_COST * covisible.missing
+        cost = 0.0 if covisible is None else MUST_SEE_COST * covisible.missing
+        # A search begins with fewer cameras, which may be any of the rig; and some views have
+        # several positions.
+        cameras = self.rig.cameras
+        known = len(views) == len(cameras) or len(set(map(light_of, cameras))) == 1
+        if views and known and self.rig.no_interference and all(
+                view.position is not None for view in views):
+            cost += MUST_SEE_COST * float(np.maximum(
+                np.triu(self.lit_shares(views)) - MAX_LIT_SHARE, 0.0).sum())
+        return cost
 
     def evaluate(self, poses: np.ndarray) -> RigEvaluation:
         """Evaluate poses (K, 6), metres, map frame, and radians."""
