@@ -45,8 +45,8 @@ from rich.progress import track
 
 #: Points of the rooms, movements of a session, and evaluations of a plan.
 POINTS, MOVEMENTS, EVALUATIONS = 3000, 50, 50
-#: Seeds of the rooms of the plans, and their rigs by turns.
-ROOMS, RIGS = range(1, 8), tuple(
+#: Seeds of the rooms of the plans and their rigs, which are planned by turns.
+ROOMS, RIGS = range(1, 4), tuple(
     {'cameras': count, 'sensor': sensor, 'mount': mount}
     for count, sensor, mount in ((2, 'omnidirectional', 'plane'), (4, 'realsense_d455', 'walls'),
                                  (3, 'kinect_v2', 'free')))
