@@ -232,17 +232,19 @@ def hung(size: np.ndarray, is_free: Callable[[np.ndarray], bool], rng: np.random
     return poses
 
 
-def generated(seed: int) -> Iterator[BenchRoom]:
-    """Yield a generated room, scanned from tripods and by hand."""
+def generated(seed: int, kind: str) -> Iterator[BenchRoom]:
+    """Yield a generated room, scanned from tripods ('tripod') or by hand ('hand')."""
     plan = plan_of(seed)
     rays, boxes = MeshRays(mesh_of(plan)), boxes_of(plan)
     hangs = hung(plan.size, lambda at: is_position_free(at, AIR, *boxes),
                  np.random.default_rng([seed, 5]))
     see = partial(cast, rays)
-    yield BenchRoom('tripod', str(seed), generate_room(seed, POINTS), see, hangs)
-    mesh = scan_by_hand(seed)
-    points, normals = np.hsplit(sample_faces(mesh.corners), 2)
-    yield BenchRoom('hand', str(seed), Scene(points, normals=normals), see, hangs)
+    if kind == 'tripod':
+        scene = generate_room(seed, POINTS)
+    else:
+        points, normals = np.hsplit(sample_faces(scan_by_hand(seed).corners), 2)
+        scene = Scene(points, normals=normals)
+    yield BenchRoom(kind, str(seed), scene, see, hangs)
 
 
 def linked(seed: int, least: float) -> Iterator[BenchRoom]:
@@ -425,10 +427,12 @@ def figures_of(rows: Sequence[dict]) -> dict[str, float]:
     return found
 
 
-def _rows_of(rooms: Callable[..., Iterator[BenchRoom]], measure: Callable[..., Iterator[dict]],
-             people: int, frames: int, *which: int | float | Path) -> list[dict]:
-    """Measure in the rooms of a seed or a folder."""
-    return [row for room in rooms(*which) for row in measure(room, people, frames)]
+def _rows_of(job: str, rooms: Callable[..., Iterator[BenchRoom]],
+             measure: Callable[..., Iterator[dict]], people: int, frames: int,
+             *which: int | float | str | Path) -> list[dict]:
+    """Measure in the rooms of a seed or a folder; each row names its job."""
+    return [{'job': job, **row} for room in rooms(*which)
+            for row in measure(room, people, frames)]
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -437,33 +441,40 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument('--set', choices=sorted(ROOMS), default='test', help='generated rooms')
     parser.add_argument('--rooms', type=int, default=10, help='how many of them')
     parser.add_argument('--first', type=int, default=0, help='number of the first of them')
-    parser.add_argument('--only', choices=('scan', 'mutual'), help='with or without a scan alone')
+    parser.add_argument('--kinds', nargs='+', choices=('tripod', 'hand', 'none'),
+                        default=('tripod', 'hand', 'none'), help='scans; none: without a scan')
     parser.add_argument('--overlap', type=float, default=0.3, help='least share of points that '
                         'cameras without a scan share')
     parser.add_argument('--real', type=Path, help='folder of real scans')
     parser.add_argument('--people', type=int, default=1, help='people in each frame')
     parser.add_argument('--frames', type=int, default=FRAMES, help='frames of each camera')
     parser.add_argument('--workers', type=int, default=1, help='processes')
+    parser.add_argument('--resume', action='store_true', help='keep the lines of earlier calls, '
+                        'and measure what is missing')
+    parser.add_argument('--most', type=int, help='end after so many jobs, to be resumed')
     parser.add_argument('--out', type=Path, default=Path('out/calibration.jsonl'),
                         help='a line for each registration')
     results.add_record(parser, 'calibration')
     arguments = parser.parse_args(argv)
-    rows: list[dict] = []
     arguments.out.parent.mkdir(parents=True, exist_ok=True)
-    seeds = ROOMS[arguments.set][arguments.first:][:arguments.rooms]
+    rows = [json.loads(line) for line in arguments.out.read_text().splitlines()] \
+        if arguments.resume and arguments.out.is_file() else []
     how = arguments.people, arguments.frames
-    jobs = [] if arguments.only == 'mutual' else [
-        partial(_rows_of, generated, measured_in, *how, seed) for seed in seeds]
-    jobs += [partial(_rows_of, real, measured_in, *how, arguments.real)] if arguments.real else []
-    jobs += [] if arguments.only == 'scan' else [
-        partial(_rows_of, linked, mutual_in, *how, seed, arguments.overlap) for seed in seeds]
-    with open(arguments.out, 'w') as file, ProcessPoolExecutor(
+    jobs = {f'{kind} {seed}': (linked, mutual_in, *how, seed, arguments.overlap)
+            if kind == 'none' else (generated, measured_in, *how, seed, kind)
+            for seed in ROOMS[arguments.set][arguments.first:][:arguments.rooms]
+            for kind in arguments.kinds}
+    if arguments.real:
+        jobs['real'] = (real, measured_in, *how, arguments.real)
+    missing = {job: what for job, what in jobs.items() if job not in {row['job'] for row in rows}}
+    with open(arguments.out, 'a' if arguments.resume else 'w') as file, ProcessPoolExecutor(
             arguments.workers, get_context('spawn')) as pool:
-        for job in [pool.submit(job) for job in jobs]:
-            rows += job.result()
-            file.writelines(f'{json.dumps(row)}\n' for row in job.result())
+        for running in [pool.submit(_rows_of, job, *missing[job])
+                        for job in list(missing)[:arguments.most]]:
+            # A room without linked cameras has no rows.
+            rows += running.result()
+            file.writelines(f'{json.dumps(row)}\n' for row in running.result())
             file.flush()
-            print(len(rows), file=sys.stderr)
     found = figures_of(rows)
     print(json.dumps(found, indent=1))
     if arguments.record:

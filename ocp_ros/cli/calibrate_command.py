@@ -15,7 +15,7 @@
 """``ocp calibrate``: find the true poses of cameras from their clouds and a scan of the room."""
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -25,6 +25,7 @@ from ocp_ros.cli.arguments import (
     add_placement,
     add_reading,
     read_frame_prefix,
+    read_number,
     room_asked,
 )
 from ocp_ros.cli.common import (
@@ -67,6 +68,9 @@ def add_arguments(commands: Commands) -> None:
     group.add_argument('--bag', type=Path, help='a ROS bag with a topic of clouds for each camera')
     command.add_argument('--sensor', help='without PLACEMENT: preset of all cameras; default: '
                          'field of view and range as in the clouds')
+    command.add_argument('--distance', nargs='+', default=(), metavar='CAMERA:OTHER=METRES',
+                         help='measured distances between two cameras, from the middle of one to '
+                         'that of the other, to 5 mm')
     command.add_argument('--topics', nargs='+', default=(), metavar='CAMERA=TOPIC',
                          help='topics of the bag; default: the topics whose names contain the '
                          'names of the cameras, otherwise all topics in their order')
@@ -116,9 +120,9 @@ def run(arguments: argparse.Namespace) -> Found:
     names = [placed.camera.name for placed in placement.cameras] if placement else None
     clouds = clouds_of(arguments, names)
     folder_to_write(arguments.out)
-    command = command_of(arguments.argv)
+    command, measured = command_of(arguments.argv), _distances(arguments.distance, clouds)
     if placement is None:
-        found = without_scan(clouds, arguments.sensor or '', command)
+        found = without_scan(clouds, arguments.sensor or '', command, measured)
     elif arguments.against:
         references = load_references(arguments.against.with_name(REFERENCES))
         found = since_reference(placement, references, clouds, command)
@@ -126,7 +130,7 @@ def run(arguments: argparse.Namespace) -> Found:
         # A generated room has this number of points; 0 stands for all points of a scan.
         points = 120_000 if arguments.room.isdecimal() else 0
         scene, _ = room_asked(arguments, {**placement.room, 'points': points})
-        found = by_scan(scene, placement, clouds, command)
+        found = by_scan(scene, placement, clouds, command, measured)
     rows = found.rows
     result: Found = {'cameras': rows, 'written': []}
     # Write the files, without refused cameras except for the placement.
@@ -146,6 +150,25 @@ def run(arguments: argparse.Namespace) -> Found:
             'calibrated (' + '; '.join(f'{row["camera"]}: {row["refused"]}' for row in rows)
             + '); expected one at least; correct that')
     return result
+
+
+def _distances(texts: Sequence[str], names: Iterable[str]) -> dict[tuple[str, str], float]:
+    """Read the distances CAMERA:OTHER=METRES between two of some cameras."""
+    found = {}
+    for text in texts:
+        pair, value = _split_pair(text, '--distance', 'METRES')
+        camera, _, other = pair.partition(':')
+        check_known([camera, other], names, '--distance, cameras')
+        found[camera, other] = _metres(value)
+    return found
+
+
+def _metres(text: str) -> float:
+    """Read a distance in metres, above 0."""
+    try:
+        return read_number(text, 'metres above 0', lambda value: 0.0 < value < 1e3)
+    except argparse.ArgumentTypeError as error:
+        raise ConfigurationError(f'--distance: {error}; write, for example, a:b=1.82') from error
 
 
 def _check_mode(arguments: argparse.Namespace) -> None:

@@ -72,7 +72,8 @@ _log = logging.getLogger(__name__)
 
 
 def calibrate(scan: ScanSurfaces, placement: Placement, clouds: Mapping[str, np.ndarray],
-              jointly: bool = True) -> tuple[dict[str, Registration], dict[str, str]]:
+              jointly: bool = True, measured: Mapping[tuple[str, str], float] | None = None
+              ) -> tuple[dict[str, Registration], dict[str, str]]:
     """
     Register each camera that has a cloud, starting at its pose in the placement.
 
@@ -81,6 +82,7 @@ def calibrate(scan: ScanSurfaces, placement: Placement, clouds: Mapping[str, np.
     :param clouds: the clouds (N, 3), metres, body frame, by the camera's name; of several frames
         see :func:`~ocp_ros.registration.steady_cloud.steady_cloud`.
     :param jointly: whether cameras are registered to each other as well.
+    :param measured: measured distances between two cameras, metres, by their names.
     :returns: the registrations, and for unusable clouds the reasons, both by the camera's name.
     """
     registrations, reasons = _for_each_camera(register, scan, placement, clouds)
@@ -88,7 +90,7 @@ def calibrate(scan: ScanSurfaces, placement: Placement, clouds: Mapping[str, np.
     if jointly:
         models = {one.camera.name: one.camera.model for one in placement.cameras}
         views = {name: (LiveView(used[name], models[name], name), models[name]) for name in found}
-        found = register_together(scan, views, found)
+        found = register_together(scan, views, found, measured)
     return found, reasons
 
 
@@ -192,14 +194,14 @@ class Calibrated(NamedTuple):
     fused: np.ndarray | None = None
 
 
-def by_scan(scene: Scene, placement: Placement, clouds: Mapping[str, np.ndarray], command: str
-            ) -> Calibrated:
+def by_scan(scene: Scene, placement: Placement, clouds: Mapping[str, np.ndarray], command: str,
+            measured: Mapping[tuple[str, str], float] | None = None) -> Calibrated:
     """
     Register cameras to a scan and to each other; see :func:`calibrate`.
 
     :param command: the command line, for the record.
     """
-    found, failures = calibrate(ScanSurfaces(scene), placement, clouds)
+    found, failures = calibrate(ScanSurfaces(scene), placement, clouds, measured=measured)
     rows = [answer_of(placed, found[name]) if (name := placed.camera.name) in found else
             {'camera': name, 'refused': failures.get(name, 'it has no cloud')}
             for placed in placement.cameras]
@@ -208,13 +210,15 @@ def by_scan(scene: Scene, placement: Placement, clouds: Mapping[str, np.ndarray]
         name: cloud for name, cloud in clouds.items() if name not in refused})
 
 
-def without_scan(clouds: Mapping[str, np.ndarray], sensor: str, command: str) -> Calibrated:
+def without_scan(clouds: Mapping[str, np.ndarray], sensor: str, command: str,
+                 measured: Mapping[tuple[str, str], float] | None = None) -> Calibrated:
     """
     Register cameras to each other.
 
     :param clouds: the clouds (N, 3), metres, body frame, by the camera's name.
     :param sensor: the preset of all cameras; '' to measure field of view and range in the clouds.
     :param command: the command line, for the record.
+    :param measured: measured distances between two cameras, metres, by their names.
     :raises ConfigurationError: if the sensor is unknown, or fewer than two cameras agree.
     """
     if sensor:
@@ -227,7 +231,7 @@ def without_scan(clouds: Mapping[str, np.ndarray], sensor: str, command: str) ->
             views[name] = LiveView(cloud, models[name], name)
         except SceneError as error:
             reasons[name] = str(error)
-    found, failures = register_mutually(views)
+    found, failures = register_mutually(views, measured)
     reasons |= failures
     placed, rows, fused = [], [], []
     for name in clouds:

@@ -47,9 +47,11 @@ from ocp_ros.registration.alignment import (
     weights_of,
 )
 from ocp_ros.registration.joint_alignment import (
+    advice,
     all_constraints,
     certainties,
     Constraints,
+    distances_between,
     joint_poses,
     overlapping_pairs,
     relative_pose,
@@ -225,7 +227,9 @@ def registered_nearby(scan: ScanSurfaces, view: LiveView, pose: Pose, model: Cam
 
 
 def register_together(scan: ScanSurfaces, cameras: Mapping[str, tuple[LiveView, CameraModel]],
-                      found: Mapping[str, Registration]) -> dict[str, Registration]:
+                      found: Mapping[str, Registration],
+                      measured: Mapping[tuple[str, str], float] | None = None
+                      ) -> dict[str, Registration]:
     """
     Register cameras to the scan and to each other, after each has been registered alone.
 
@@ -235,6 +239,7 @@ def register_together(scan: ScanSurfaces, cameras: Mapping[str, tuple[LiveView, 
     :param scan: the scan of the room.
     :param cameras: the view and the model of each camera, by name.
     :param found: the registration of each camera alone, by name.
+    :param measured: measured distances between two cameras, metres, by their names.
     :returns: the registrations, improved.
     """
     names = [name for name, one in found.items() if not one.mismatched]
@@ -242,13 +247,14 @@ def register_together(scan: ScanSurfaces, cameras: Mapping[str, tuple[LiveView, 
         return dict(found)
     views = [cameras[name][0] for name in names]
     poses = _agreeing_poses(views, [found[name] for name in names])
+    distances = distances_between(names, measured or {})
     for stage in (AlignmentStage((0.1, 0.05), (3.0, 1.0), 10), FINEST_STAGE):
         rig = [RigCamera.of(view.patches, scan.in_view(pose, cameras[name][1]).every)
                for name, view, pose in zip(names, views, poses)]
-        poses = joint_poses(rig, poses, stage)
+        poses = joint_poses(rig, poses, stage, distances=distances)
     limits = FINEST_STAGE.max_distances[1], FINEST_STAGE.kernel_widths[1]
     pairs = overlapping_pairs(rig, poses, limits[0])
-    constraints = all_constraints(rig, poses, pairs, *limits)
+    constraints = all_constraints(rig, poses, pairs, *limits, distances)
     joint = dict(found)
     for k, (name, certainty) in enumerate(zip(names, certainties(constraints, names))):
         own = [one for one in constraints if k in (one.camera, one.other)]
@@ -260,6 +266,10 @@ def register_together(scan: ScanSurfaces, cameras: Mapping[str, tuple[LiveView, 
         answer = _judged(scan, views[k], poses[k], certainty, _residual(own), (), seen_by_others)
         if answer.refused and not alone.refused:
             answer = _accepted_in_changed_room(answer) or answer
+        if answer.refused and certainty.metres[0] > LIMITS.max_metres:
+            answer = answer._replace(refused=answer.refused + advice(
+                name, certainty.slide_axes[0],
+                {other: pose.position for other, pose in zip(names, poses)}))
         joint[name] = answer._replace(actual_setup=alone.actual_setup, note=alone.note)
     return joint
 

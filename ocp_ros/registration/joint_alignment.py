@@ -28,7 +28,7 @@ jackknife, which is how much the poses change if one block is left out, and that
 independent errors as large as those observed.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -52,6 +52,8 @@ MUTUAL_PATCHES = 4000
 MIN_MUTUAL_SHARE = 0.04
 #: The number of points of a whole block.
 WHOLE_BLOCK_POINTS = 8
+#: The standard deviation of a distance that a person has measured, metres.
+DISTANCE_DEVIATION_M = 0.005
 #: The name of the scan among what holds a camera.
 SCAN = 'scan'
 
@@ -148,14 +150,66 @@ def relative_pose(pose: Pose, base: Pose) -> Pose:
     return Pose((pose.position - base.position) @ base.rotation, base.rotation.T @ pose.rotation)
 
 
+class Distance(NamedTuple):
+    """
+    A distance between two cameras that a person has measured.
+
+    :ivar camera: the number of one camera.
+    :ivar other: the number of the other camera.
+    :ivar metres: from the middle of one to that of the other.
+    """
+
+    camera: int
+    other: int
+    metres: float
+
+    def constraints(self, poses: Sequence[Pose]) -> Constraints:
+        """Return the residuals of the distance; it counts as much as a whole block of points."""
+        offset = poses[self.camera].position - poses[self.other].position
+        length = float(np.linalg.norm(offset))
+        direction, still = offset / max(length, 1e-9), np.zeros(3)
+        rows = np.ones(WHOLE_BLOCK_POINTS)
+        # The block is one of its own, far from all others.
+        return Constraints(
+            self.camera, self.other,
+            np.outer(rows, np.concatenate([still, direction, still, -direction])),
+            rows * (length - self.metres), rows * 10.0 / DISTANCE_DEVIATION_M ** 2,
+            np.full((WHOLE_BLOCK_POINTS, 3), 1e4 + 100.0 * self.camera + self.other),
+            np.outer(rows, direction))
+
+
+def distances_between(names: Sequence[str], measured: Mapping[tuple[str, str], float]
+                      ) -> list[Distance]:
+    """Return the measured distances, metres, between two of some cameras, by their numbers."""
+    return [Distance(names.index(a), names.index(b), metres)
+            for (a, b), metres in measured.items() if a in names and b in names]
+
+
+def advice(name: str, axis: np.ndarray, places: Mapping[str, np.ndarray]) -> str:
+    """
+    Return which distance would hold a camera along an axis; empty if none would.
+
+    :param axis: (3,) unit vector, map frame.
+    :param places: the positions (3,) of all cameras, metres, by name.
+    """
+    shares = {other: abs(axis @ (place - places[name])) / np.linalg.norm(place - places[name])
+              for other, place in places.items() if other != name}
+    best = max(shares, key=lambda other: shares[other], default='')
+    # Across the axis, a distance does not hold it.
+    if not best or shares[best] < 0.5:
+        return ''
+    return f'; measure its distance to {best} (--distance {name}:{best}=METRES)'
+
+
 def all_constraints(rig: Sequence[RigCamera], poses: Sequence[Pose],
-                    pairs: Sequence[tuple[int, int]], max_distance: float, kernel_width: float
-                    ) -> list[Constraints]:
-    """Return the constraints of all cameras by the scan, and of pairs of cameras."""
+                    pairs: Sequence[tuple[int, int]], max_distance: float, kernel_width: float,
+                    distances: Sequence[Distance] = ()) -> list[Constraints]:
+    """Return the constraints by the scan, by pairs of cameras and by measured distances."""
     limits = max_distance, kernel_width
     return [*(scan_constraints(k, one.surfaces, one.patches, poses[k], *limits)
               for k, one in enumerate(rig) if one.surfaces is not None),
-            *(_mutual_constraints(camera, other, rig, poses, *limits) for camera, other in pairs)]
+            *(_mutual_constraints(camera, other, rig, poses, *limits) for camera, other in pairs),
+            *(one.constraints(poses) for one in distances)]
 
 
 def overlapping_pairs(rig: Sequence[RigCamera], poses: Sequence[Pose], max_distance: float
@@ -172,7 +226,7 @@ def overlapping_pairs(rig: Sequence[RigCamera], poses: Sequence[Pose], max_dista
 
 
 def joint_poses(rig: Sequence[RigCamera], poses: Sequence[Pose], stage: AlignmentStage,
-                anchor: int | None = None) -> list[Pose]:
+                anchor: int | None = None, distances: Sequence[Distance] = ()) -> list[Pose]:
     """
     Register cameras to the scan and to each other.
 
@@ -180,6 +234,7 @@ def joint_poses(rig: Sequence[RigCamera], poses: Sequence[Pose], stage: Alignmen
     :param poses: their start poses.
     :param stage: the limits of the iteration.
     :param anchor: a camera that keeps its pose, where no camera has a scan.
+    :param distances: distances between cameras that a person has measured.
     :returns: their final poses.
     """
     poses = list(poses)
@@ -187,7 +242,7 @@ def joint_poses(rig: Sequence[RigCamera], poses: Sequence[Pose], stage: Alignmen
     for number in range(stage.max_steps):
         progress = min(number / max(0.7 * stage.max_steps, 1.0), 1.0)
         constraints = all_constraints(rig, poses, pairs, between(*stage.max_distances, progress),
-                                      between(*stage.kernel_widths, progress))
+                                      between(*stage.kernel_widths, progress), distances)
         information, gradient = _normal_equations(constraints, len(poses))
         damping = 1e-4 * np.repeat(
             information.diagonal().reshape(-1, 6).mean(axis=1), 6) + 1e-9

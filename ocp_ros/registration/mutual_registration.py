@@ -33,8 +33,10 @@ from ocp_ros.geometry.cameras import Pose, rotation_matrix
 from ocp_ros.registration.alignment import aligned_poses, AlignmentStage, Certainty, Poses
 from ocp_ros.registration.camera_registration import agreement, differ, sampled
 from ocp_ros.registration.joint_alignment import (
+    advice,
     all_constraints,
     certainties,
+    distances_between,
     joint_poses,
     overlapping_pairs,
     relative_pose,
@@ -75,7 +77,7 @@ class MutualLimits(NamedTuple):
 
     min_agreement: float = 0.05
     min_total: float = 0.2
-    min_lead: float = 0.1
+    min_lead: float = 0.25
     max_metres: float = 0.014
     max_degrees: float = 0.5
 
@@ -296,12 +298,14 @@ def _best_distinct(one: LevelView, other: LevelView, starts: Sequence[Pose]
     return distinct
 
 
-def register_mutually(views: Mapping[str, LiveView]
+def register_mutually(views: Mapping[str, LiveView],
+                      measured: Mapping[tuple[str, str], float] | None = None
                       ) -> tuple[dict[str, MutualRegistration], dict[str, str]]:
     """
     Register cameras to each other.
 
     :param views: what each camera sees, by name.
+    :param measured: measured distances between two cameras, metres, by their names.
     :returns: the registrations, and the reasons why cameras have none, by name. In the frame of
         the poses, z is up and 0 on the floor, x is along the walls, and the lowest corner of what
         all cameras see is the origin.
@@ -324,16 +328,20 @@ def register_mutually(views: Mapping[str, LiveView]
     anchor = int(np.argmax(totals))
     rig = [RigCamera.of(views[name].patches) for name in placed]
     joint = list(poses.values())
+    distances = distances_between(placed, measured or {})
     for stage in JOINT_STAGES:
-        joint = joint_poses(rig, joint, stage, anchor)
+        joint = joint_poses(rig, joint, stage, anchor, distances)
     joint = _levelled([level[name] for name in placed], joint)
     limits = JOINT_STAGES[-1].max_distances[1], JOINT_STAGES[-1].kernel_widths[1]
-    constraints = all_constraints(rig, joint, overlapping_pairs(rig, joint, limits[0]), *limits)
+    constraints = all_constraints(rig, joint, overlapping_pairs(rig, joint, limits[0]), *limits,
+                                  distances)
     found = {}
     for k, (name, certainty) in enumerate(zip(placed, certainties(constraints, placed, anchor))):
-        found[name] = MutualRegistration(
-            joint[k], totals[k], leads[name], certainty,
-            _refusal(totals[k], leads[name], certainty))
+        refused = _refusal(totals[k], leads[name], certainty)
+        if refused and certainty.metres[0] > MUTUAL_LIMITS.max_metres:
+            refused += advice(name, certainty.slide_axes[0],
+                              {other: pose.position for other, pose in zip(placed, joint)})
+        found[name] = MutualRegistration(joint[k], totals[k], leads[name], certainty, refused)
     return found, reasons
 
 

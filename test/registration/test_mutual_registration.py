@@ -21,8 +21,17 @@ from benchmarks.calibration_bench import cast, off
 from conftest import printed, refused
 import numpy as np
 from ocp_ros.geometry.cameras import heading_of, OPTICAL_TO_BODY, Pose
+from ocp_ros.registration.alignment import AlignmentStage, Patches
 from ocp_ros.registration.calibration import model_of_cloud
-from ocp_ros.registration.joint_alignment import relative_pose
+from ocp_ros.registration.joint_alignment import (
+    advice,
+    all_constraints,
+    certainties,
+    Distance,
+    joint_poses,
+    relative_pose,
+    RigCamera,
+)
 from ocp_ros.registration.live_view import LiveView
 from ocp_ros.registration.movement import Movement, movement_since, way_back
 from ocp_ros.registration.mutual_registration import HERE, LevelView, register_mutually
@@ -131,13 +140,39 @@ def test_files_alone_give_a_placement_a_room_and_references(clouds, capsys, tmp_
                 relative_pose(moved, TRUE[0]), 0.025, 0.7)
 
 
+def test_a_measured_distance_holds_a_camera_along_it():
+    # Both cameras see one level surface alone.
+    floor = np.random.default_rng(0).uniform(-2.0, 2.0, (1500, 3)) * [1.0, 1.0, 0.0]
+    normals = np.tile([0.0, 0.0, 1.0], (len(floor), 1))
+    true = [Pose.of(np.array([x, 0.0, 2.0, 0.0, 1.2, 0.0])) for x in (0.0, 1.0)]
+    rig = [RigCamera.of(Patches((floor - pose.position) @ pose.rotation, normals @ pose.rotation,
+                                np.full(len(floor), 0.006))) for pose in true]
+    start = [true[0], Pose(true[1].position + [0.03, 0.0, 0.02], true[1].rotation)]
+    stage, loose = AlignmentStage((0.1, 0.1), (3.0, 3.0), 20), {}
+    for distances in ((), (Distance(0, 1, 1.0),)):
+        poses = joint_poses(rig, start, stage, 0, distances)
+        found = certainties(all_constraints(rig, poses, [(0, 1), (1, 0)], 0.1, 3.0, distances),
+                            ['a', 'b'], 0)[1]
+        loose[len(distances)] = len(found.loose_motions)
+        if distances:
+            assert poses[1].position[0] == pytest.approx(1.0, abs=0.002)
+        else:
+            assert poses[1].position[0] == pytest.approx(1.03, abs=0.01)
+    assert loose[1] == loose[0] - 1
+    places = {'a': np.zeros(3), 'b': np.array([1.0, 0.0, 0.0]), 'c': np.array([0.0, 1.0, 0.0])}
+    assert '--distance a:b=METRES' in advice('a', np.array([1.0, 0.0, 0.0]), places)
+    assert advice('a', np.array([0.0, 0.0, 1.0]), places) == ''
+
+
 @pytest.mark.parametrize('arguments, words', [
-    (['room.ply', '--clouds', 'a.npy'], 'ROOM'), (['--against', 'a.yaml', '--sensor', 'd455',
-                                                   '--clouds', 'a.npy'], '--against and --sensor'),
-    (['--clouds', 'empty'], 'no file')])
+    (['room.ply', '--clouds', 'a.npy'], 'ROOM'), (['--clouds', 'empty'], 'no file'),
+    (['--against', 'a.yaml', '--sensor', 'd455', '--clouds', 'a.npy'], '--against and --sensor'),
+    (['--clouds', 'b.npy', '--distance', 'b:c=1'], 'c'),
+    (['--clouds', 'b.npy', 'c=b.npy', '--distance', 'b:c=0'], 'metres above 0')])
 def test_what_does_not_go_together_is_refused(capsys, tmp_path, monkeypatch, arguments, words):
     monkeypatch.chdir(tmp_path)
     Path('empty').mkdir()
+    np.save('b.npy', np.ones((20, 3)))
     assert words in refused(capsys, 'calibrate', *arguments)
 
 

@@ -29,6 +29,7 @@ from geometry_msgs.msg import PoseArray
 import numpy as np
 from ocp_ros.geometry.cameras import OPTICAL_TO_BODY, Pose
 from ocp_ros.online.step import OnlineStep
+from ocp_ros.registration.steady_cloud import steady_cloud
 from ocp_ros.rig.placement_file import load_placement
 from ocp_ros.rooms.generator import generate_room, mesh_of, plan_of
 from ocp_ros.ros.bags.recorded_clouds import topics_of_cameras
@@ -552,7 +553,8 @@ def calibrated(probe, holds):
 
 
 def test_the_service_says_where_a_camera_hangs_and_drift_is_a_warning(graph, probe, tmp_path):
-    seen = cast(MeshRays(mesh_of(plan_of(SEED))), Pose.of(TRUE), 'realsense_d455')[0][::4]
+    rays = MeshRays(mesh_of(plan_of(SEED)))
+    seen = steady_cloud(cast(rays, Pose.of(TRUE), 'realsense_d455', frames=6))[::2]
     hang_elsewhere(probe, [seen @ OPTICAL_TO_BODY])
     scan = tmp_path / 'room.ply'
     scan.write_text('no scan')
@@ -564,7 +566,7 @@ def test_the_service_says_where_a_camera_hangs_and_drift_is_a_warning(graph, pro
     save_scene(generate_room(SEED, 15_000), scan)
     answer = calibrated(probe, lambda answer: answer.success)
     line, wrote = answer.message.splitlines()
-    assert abs(float(line.split()[1]) - np.linalg.norm(AWAY)) < 0.005
+    assert abs(float(line.split()[1]) - np.linalg.norm(AWAY)) < 0.01
     built = load_placement(tmp_path / 'placement_as_built.yaml')
     assert str(tmp_path / 'placement_as_built.yaml') in wrote
     assert np.linalg.norm(np.array(built.cameras[0].position) - TRUE[:3]) < 0.01
@@ -590,7 +592,8 @@ def test_a_camera_that_moves_is_named_without_a_scan(graph, probe):
     assert status(node)[0] == DiagnosticStatus.OK
     shown.append(after)
     # Until then, some of the last ten clouds are of before.
-    graph.until(lambda: 'turn it 2.0 degrees to the right' in status(node)[1])
+    graph.until(lambda: re.search(r'turn it (1\.[89]|2\.[012]) degrees to the right',
+                                  status(node)[1]))
 
 
 def test_recorded_topics_are_those_of_cameras_by_name_or_in_order():
