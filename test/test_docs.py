@@ -21,9 +21,11 @@ import shlex
 from benchmarks.docs.sensor_table import bandwidth_rows, rows
 from conftest import made_room, ROOT
 from ocp_ros.cli import main as cli
+from ocp_ros.formats.exports import FORMATS
 from ocp_ros.rig import schemas
 from ocp_ros.rig.placement_file import load_placement
 from ocp_ros.rig.rig_file import load_rig
+from ocp_ros.scenes.file_formats import SUFFIXES
 from ocp_ros.scenes.scene_files import save_scene
 from ocp_ros.search.registry import OBSERVED, planner_names, SCORES
 import pytest
@@ -110,6 +112,21 @@ def absent(page):
     for target in re.findall(r'(?:`|^    )make ([a-z-]+)', text, re.M):
         if not re.search(rf'^{target}:', makefile, re.M):
             yield f'{page}: make {target}'
+
+
+def test_every_format_is_in_the_table_with_a_test_that_there_is():
+    text = (DOCS / 'reference' / 'formats.md').read_text()
+    reading, writing = text.split('## Written files')
+    assert {suffix for suffix in SUFFIXES if f'`{suffix}`' not in reading} == set()
+    for name, one in FORMATS.items():
+        row, = re.findall(rf'^\| .*`{name}`\*?[ ,].*$', writing, re.M)
+        assert one.room == (f'`{name}`*' in row), name
+        assert name == 'report' or all(f'`{file}`' in row for file in one.files), name
+    proofs = re.findall(r'`(test_\w+\.py)(?:::(\w+))?`', text)
+    assert len(proofs) > 20
+    for file, function in proofs:
+        path, = (ROOT / 'test').rglob(file)
+        assert f'def {function}' in path.read_text(), (file, function)
 
 
 def test_links_folders_modules_and_targets_exist():

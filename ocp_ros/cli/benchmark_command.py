@@ -162,6 +162,8 @@ def protocol_of(arguments: argparse.Namespace) -> 'Protocol':
 def _add_policy(arguments: argparse.Namespace) -> None:
     """Load the agent of the user, with a warning, and compare it unless it is named already."""
     from ocp_ros.search.registry import planner_names
+    from ocp_ros.util.settings import need
+    need('ocp benchmark --policy', 'stable_baselines3', 'gymnasium')
     from ocp_ros.training.saved_agents import DICT, OWN_POLICY, register_policy
     warnings.warn(f'--policy: found {arguments.policy}, which can run any code; expected one that '
                   'you trust', stacklevel=2)

@@ -43,7 +43,6 @@ from ocp_ros.search.plan import load_kernels, plan
 from ocp_ros.search.registry import OBSERVED, planner_names, REFERENCES, RIG_SEARCH
 from ocp_ros.simulation.problem import Problem
 from ocp_ros.simulation.simulation_config import SimulationConfig
-from ocp_ros.training.saved_agents import OWN_POLICY, register_policy
 from ocp_ros.util.resources import DEFAULT_MODEL, find_config
 from ocp_ros.util.settings import ConfigurationError
 
@@ -218,8 +217,10 @@ def run_task(protocol: Protocol, task: BenchmarkTask) -> list[dict[str, Any]]:
         optimality ``gap``, or the ``trajectory`` and the seconds of turns.
     """
     room = protocol.room(task.room, task.rotation)
-    if task.planner == OWN_POLICY:
-        # A worker process does not know it yet.
+    if protocol.policy:
+        # Imported only here, as most comparisons need no gymnasium. A worker process does not know
+        # the agent yet.
+        from ocp_ros.training.saved_agents import register_policy
         register_policy(protocol.policy, protocol.observation)
     if task.planner == RANDOM_PLACEMENT:
         runs = _draw_placements(room.judge_problem)
