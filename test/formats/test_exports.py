@@ -33,6 +33,7 @@ from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.report.assessment import assess
 from ocp_ros.rig.placement_file import placement_of
 from ocp_ros.rig.rig_file import rig_of
+from ocp_ros.rooms.scene_source import room_named
 from ocp_ros.scenes.scene import Scene
 import pytest
 
@@ -245,6 +246,13 @@ def test_a_drawing_has_walls_cameras_fields_of_view_and_sizes(in_a_room):
     sizes = sorted(one.get_measurement() for one in space.query('DIMENSION[layer=="DIMENSIONS"]'))
     assert sizes == pytest.approx([0.1, 0.1, 2.0, 3.0, 4.0, 4.0, 6.0, 6.0], abs=0.03)
     assert len(space.query('LWPOLYLINE[layer=="ZONES"]')) == 1
+
+
+def test_a_drawing_is_a_room_of_the_same_size(in_a_room, tmp_path):
+    pytest.importorskip('ezdxf', reason='ezdxf reads DXF files')
+    (tmp_path / 'plan.dxf').write_text(dxf_of(in_a_room))
+    room, _ = room_named(str(tmp_path / 'plan.dxf'), 4000, height=2.8)
+    assert room.size == pytest.approx([6.0, 4.0, 2.8], abs=0.12)
 
 
 def test_a_building_model_has_the_cameras_in_its_storey(in_a_room, tmp_path):
