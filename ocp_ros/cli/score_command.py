@@ -28,7 +28,7 @@ from ocp_ros.cli.arguments import (
     room_and_placement,
 )
 from ocp_ros.cli.common import claim_folder, command_of, Commands, Found, JUDGE, show_written
-from ocp_ros.util.settings import need
+from ocp_ros.util.settings import ConfigurationError, need
 
 
 def add_arguments(commands: Commands) -> None:
@@ -57,6 +57,9 @@ def run(arguments: argparse.Namespace) -> Found:
     if arguments.out:
         need('ocp score --out', 'plotly')
         claim_folder(arguments, arguments.out, WRITTEN, MARK)
+    elif arguments.export != ('default',):
+        raise ConfigurationError(f'--export: found {",".join(arguments.export)} without --out; '
+                                 'expected both; name a folder, or run ocp export')
     scene, placement, room = room_and_placement(arguments)
     folder = arguments.out and folder_to_write(arguments.out)
     assessed = assess(scene, placement, room, command_of(arguments.argv), arguments.frame)

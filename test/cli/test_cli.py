@@ -115,6 +115,8 @@ def test_json_is_all_that_a_command_prints(files, capsys, command, keys):
     ('train --config train.yaml --out out --seed 202611212346', '--seed'),
     ('score holes.ply placement.yaml', '--drop-nonfinite'), ('info room.ply --scale mm', "'mm'"),
     ('score 8 placement.yaml --drop-nonfinite', '--drop-nonfinite'),
+    ('score room.ply placement.yaml --export usd', '--export'),
+    ('calibrate room.ply placement.yaml --clouds a.ply --export pdf', '--export'),
     # Frames of ROS have names that begin with a letter.
     ('score 7 placement.yaml --frame-prefix 1st_', "'1st_'"),
     ('score 7 placement.yaml --frame-prefix ../x', "'../x'"),
