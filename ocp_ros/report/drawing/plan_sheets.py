@@ -123,7 +123,8 @@ def scale_for(size_m: Sequence[float], box: Box) -> int:
 def elevations_of(assessed: Assessment) -> list[Elevation]:
     """Return the walls that carry cameras, in the order of their letters."""
     found: dict[str, Elevation] = {}
-    walls = {wall.letter: wall for wall in (*assessed.walls, *assessed.references.inner)}
+    known: list[ReferenceWall | InnerWall] = [*assessed.walls, *assessed.references.inner]
+    walls = {wall.letter: wall for wall in known}
     points = assessed.scene.points[:, :2].astype(np.float64)
     for number, distances in enumerate(assessed.references.distances):
         if not distances or distances[0].metres > MAX_MOUNT_GAP_M:
@@ -211,7 +212,8 @@ def _draw_dimension(axes: Axes, ends: np.ndarray) -> None:
         'arrowstyle': '<|-|>', 'color': INK, 'linewidth': 0.7, 'shrinkA': 0.0, 'shrinkB': 0.0,
         'mutation_scale': 7})
     angle = np.rad2deg(np.arctan2(*(ends[1] - ends[0])[::-1]))
-    axes.text(*ends.mean(axis=0), f'{np.linalg.norm(ends[1] - ends[0]):.2f} m', fontsize=7.5,
+    x, y = ends.mean(axis=0)
+    axes.text(x, y, f'{np.linalg.norm(ends[1] - ends[0]):.2f} m', fontsize=7.5,
               color=INK, ha='center', va='center', rotation=(angle + 90.0) % 180.0 - 90.0,
               bbox={'facecolor': 'white', 'edgecolor': 'none', 'pad': 1.0}, zorder=7)
 
