@@ -17,7 +17,7 @@
 import numpy as np
 from ocp_ros.geometry.cameras import CameraModel
 from ocp_ros.rig.connections import CONNECTIONS
-from ocp_ros.rig.sensors import SENSORS
+from ocp_ros.rig.sensors import PRICES, SENSORS
 
 
 def pixel_size(model: CameraModel, distance: float) -> tuple[float, float]:
@@ -40,6 +40,12 @@ def noise_at(model: CameraModel, depth: float) -> float:
     return noise.constant + noise.linear * depth + noise.quadratic * depth ** 2
 
 
+def price_text(name: str) -> str:
+    """Return the price of a sensor with its date, or a dash."""
+    price = PRICES.get(name)
+    return '-' if price is None else f'{price.amount:,.0f} ({price.date})'
+
+
 def rows() -> list[str]:
     """Return one line of Markdown per sensor."""
     lines = []
@@ -50,7 +56,8 @@ def rows() -> list[str]:
         across, down = (f'{1e3 * size:.1f}' for size in pixel_size(model, 3.0))
         lines.append(f'| `{name}` | {sensor.title} | {model.min_range:g} to {model.max_range:g} | '
                      f'{angles} | {model.resolution[0]} x {model.resolution[1]} | '
-                     f'{across} x {down} | {1e3 * noise_at(model, 2.0):.1f} |')
+                     f'{across} x {down} | {1e3 * noise_at(model, 2.0):.1f} | '
+                     f'{price_text(name)} |')
     return lines
 
 

@@ -22,6 +22,7 @@ import numpy as np
 from ocp_ros.geometry.engine_config import PROMISING
 from ocp_ros.geometry.packed_bits import Subset
 from ocp_ros.geometry.visibility import MESH
+from ocp_ros.report.bill import bill_of_materials
 from ocp_ros.report.camera_words import aim_text, camera_label, Instructions, instructions_for
 from ocp_ros.report.findings import evaluate_placement, scores_of
 from ocp_ros.report.wall_references import Corner, nearest_corner, ReferenceWall, WallReferences
@@ -42,7 +43,8 @@ class Assessment:
 
     :ivar objective: the engine in the room, and the rig.
     :ivar placement: poses of the K cameras.
-    :ivar found: what ``ocp score --json`` prints: scores, broken, missed, one_more, notes.
+    :ivar found: what ``ocp score --json`` prints: scores, broken, missed, one_more, notes,
+        and the bill of materials.
     :ivar requested_frame: frame of files and pages, ``'map'`` or ``'source'``; None for data in
         the map frame and pages for people in the frame of the scan.
     """
@@ -64,7 +66,9 @@ class Assessment:
         """
         found = {'room': placement.room, 'cameras': data_of(placement)['cameras'],
                  **evaluate_placement(problem, placement.poses), **more}
-        return cls(problem.objective, replace(placement, scores=found['scores']), found, frame)
+        assessed = cls(problem.objective, replace(placement, scores=found['scores']), found, frame)
+        found['bill'] = bill_of_materials(assessed)
+        return assessed
 
     @property
     def frame(self) -> SourceFrame:

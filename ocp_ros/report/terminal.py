@@ -19,6 +19,7 @@ import io
 from itertools import repeat
 from typing import Any
 
+from ocp_ros.report.bill import BILL_COLUMNS, bill_rows
 from ocp_ros.report.camera_words import INSTRUCTION_COLUMNS
 from ocp_ros.report.facts import (
     count_sentence,
@@ -82,6 +83,7 @@ def show_score(console: Console, findings: Mapping[str, Any]) -> None:
         print_table(console, 'Rooms', ROOM_COLUMNS, *zip(*facts.rooms))
     if facts.requirements:
         print_table(console, 'Requirements', REQUIREMENT_COLUMNS, facts.requirements)
+    print_table(console, 'Bill of materials', BILL_COLUMNS, bill_rows(findings['bill']))
     for line in filter(None, [*details_of(findings), facts.links]):
         console.print(line)
     console.print(facts.verdict + (':' if findings['broken'] else ''))

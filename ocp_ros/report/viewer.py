@@ -25,6 +25,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from ocp_ros.report import fill_template
 from ocp_ros.report.assessment import Assessment
+from ocp_ros.report.bill import BILL_COLUMNS, bill_rows
 from ocp_ros.report.drawing.assessment_pictures import COUNT_COLOURS, COUNT_NAMES, ERROR_COLOURS
 from ocp_ros.report.drawing.plan_drawing import (
     camera_colour,
@@ -355,6 +356,8 @@ def tables_of(assessed: Assessment) -> Iterator[str]:
         yield '<h2>Rooms</h2>' + _html_table(ROOM_COLUMNS, *zip(*facts.rooms))
     if facts.requirements:
         yield '<h2>Requirements</h2>' + _html_table(REQUIREMENT_COLUMNS, facts.requirements)
+    yield '<h2>Bill of materials</h2>' + _html_table(
+        BILL_COLUMNS, bill_rows(assessed.found['bill']))
     yield from _html_paragraphs(facts.links, facts.origin, facts.meaning)
 
 

@@ -29,7 +29,7 @@ from ocp_ros.geometry.cameras import CameraModel, DepthNoise
 from ocp_ros.geometry.measurement_quality import QualityLimits
 from ocp_ros.rig.rig_config import KINDS, OMNIDIRECTIONAL, RigConfig
 from ocp_ros.rig.schemas import MAX_NAME_LENGTH, MIN_FOV_DEG, MODEL, PIXEL_DENSITIES, RIG
-from ocp_ros.rig.sensors import SENSORS
+from ocp_ros.rig.sensors import PRICES, SENSORS
 from ocp_ros.rig.zones import Zone, zone_of, zones_of
 from ocp_ros.util.settings import ConfigurationError, MAX_CAMERAS
 from ocp_ros.util.yaml_files import describe, Document, document_of, nearest, read_document, Way
@@ -71,12 +71,14 @@ class Camera(NamedTuple):
     :ivar sensor: the name of the sensor's preset; empty for parameters given directly.
     :ivar model: the camera model.
     :ivar device: what connects the camera to a computer.
+    :ivar price: of one camera; None if unknown.
     """
 
     name: str
     sensor: str
     model: CameraModel
     device: Device = Device()
+    price: float | None = None
 
 
 class FixedCamera(NamedTuple):
@@ -252,6 +254,8 @@ class Rig:
     :ivar calibratable: the condition for links between cameras, which have to connect all of them;
         None if not required.
     :ivar document: the document that the rig was read from; empty if there is none.
+    :ivar computer: where the cables of the cameras end: (3,) metres, map frame; None for a place
+        at a wall with short cables.
     """
 
     cameras: tuple[Camera, ...]
@@ -269,6 +273,7 @@ class Rig:
     no_interference: bool
     calibratable: Calibratable | None
     document: Document
+    computer: np.ndarray | None = None
 
     @classmethod
     def plane(cls, config: RigConfig) -> 'Rig':
@@ -527,7 +532,8 @@ def rig_from(document: Document) -> Rig:
         keep_out=zones_of(document, 'keep_out'), keep_in=zones_of(document, 'keep_in'),
         regions=regions, requirements=tuple(_requirements(document, regions, models)),
         seen_by=seen_by, no_interference='interference' in data.get('require', {}),
-        calibratable=_calibratable(data), document=document)
+        calibratable=_calibratable(data), document=document,
+        computer=np.array(data['computer'], float) if 'computer' in data else None)
 
 
 def _cameras(document: Document) -> tuple[tuple[Camera, ...], tuple[FixedCamera, ...]]:
@@ -554,8 +560,10 @@ def cameras_at(document: Document, key_paths: list[Way]) -> Iterator[Camera]:
     """
     devices = _devices_of(document, key_paths)
     for keys, name, device in zip(key_paths, names_of(document, key_paths), devices):
-        yield Camera(name, document.value(*keys).get('sensor', ''), model_of(document, keys),
-                     device)
+        data = document.value(*keys)
+        listed = PRICES.get(data.get('sensor', ''))
+        yield Camera(name, data.get('sensor', ''), model_of(document, keys), device,
+                     data.get('price', listed and listed.amount))
 
 
 def _devices_of(document: Document, key_paths: list[Way]) -> Iterator[Device]:

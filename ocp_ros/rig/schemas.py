@@ -131,6 +131,7 @@ CAMERA: Schema = mapping(
         **DEVICE, 'serial': {'description': 'a serial number in quotes, or a list of one for each '
                              'camera of the group', 'anyOf': [SERIAL, array(SERIAL, 1, 64)],
                              'examples': ['034422073314']}},
+    price=number('the price of one camera, 0 or more', 419.0, minimum=0, maximum=1e6),
     count=whole('a whole number from 1 to 64', 3, minimum=1, maximum=64) | {'remedies': {
         'auto': 'leave it out, and choose the number by ocp plan --cameras auto'}}) | {
     'remedies': MODEL_REMEDIES | {
@@ -201,7 +202,7 @@ RIG = mapping(
     regions=many('a list of regions', REGION,
                  [{'name': 'table', 'box': [[1, 1, 0.5], [2, 2, 1.2]]}], 0, 1000),
     seen_by=whole('a whole number of cameras, 1 or more', 2, minimum=1, maximum=64),
-    require=ROOM_REQUIRE,
+    require=ROOM_REQUIRE, computer=POSITION,
     calibratable=mapping(
         'a mapping with overlap, angle or neither', {'overlap': 0.2, 'angle': 60}, (),
         overlap=number('a share above 0, at most 1', 0.2, exclusiveMinimum=0, maximum=1),

@@ -22,6 +22,7 @@ as the maker or a paper publishes it; it depends on the angle of incidence where
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from ocp_ros.geometry.cameras import CameraModel, DepthNoise
@@ -45,6 +46,20 @@ class Sensor:
     title: str
     model: CameraModel
     source: str
+
+
+class Price(NamedTuple):
+    """
+    The list price of a sensor, without tax.
+
+    :ivar amount: in :data:`CURRENCY`.
+    :ivar source: who asked this price.
+    :ivar date: when: year, or year and month.
+    """
+
+    amount: float
+    source: str
+    date: str
 
 
 def _sensor(title: str, ranges: tuple[float, float], degrees: tuple[float, float],
@@ -144,4 +159,18 @@ SENSORS = {
         DepthNoise(constant=0.03),
         'Velodyne, VLP-16 User Manual 63-9243: 1 to 100 m, 16 channels from -15 to +15 degrees, '
         '0.2 degrees of azimuth at 10 Hz, typical accuracy 30 mm'),
+}
+CURRENCY = 'USD'
+_AZURE = Price(399.0, 'Microsoft Store, sold until 2023', '2019-07')
+_FEMTO = Price(418.0, 'Orbbec store', '2024')
+#: By the name of a sensor; sensors without a public list price have none.
+PRICES = {
+    'realsense_d435': Price(314.0, 'RealSense store', '2024'),
+    'realsense_d455': Price(419.0, 'RealSense store', '2024'),
+    'realsense_l515': Price(349.0, 'Intel, at its launch; sold until 2022', '2019-12'),
+    'azure_kinect_nfov': _AZURE, 'azure_kinect_wfov': _AZURE,
+    'femto_bolt_nfov': _FEMTO, 'femto_bolt_wfov': _FEMTO,
+    'zed_2i_wide': Price(499.0, 'Stereolabs store', '2023'),
+    'kinect_v2': Price(199.0, 'Microsoft Store, sold until 2015', '2014-07'),
+    'velodyne_vlp16': Price(3999.0, 'Velodyne, press release', '2018-01'),
 }

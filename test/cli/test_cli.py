@@ -88,7 +88,7 @@ def test_every_example_can_be_read_and_stands_in_the_help_of_its_command(example
 
 @pytest.mark.parametrize(('command', 'keys'), [
     ('score room.ply placement.yaml',
-     'room cameras scores broken missed one_more expected notes remarks'),
+     'room cameras scores broken missed one_more expected notes remarks bill'),
     ('view holes.ply --drop-nonfinite', 'room written'),
     ('room 6 4 3 --out made.yaml', 'written size openings boxes'),
     ('rooms 3 4', 'rooms written'), ('rooms 8 --points 1000 --out made', 'rooms written')])

@@ -23,7 +23,7 @@ from conftest import refused_in_one_sentence, ROOT
 import numpy as np
 from ocp_ros.geometry.cameras import CameraModel
 from ocp_ros.rig.rig_file import Camera, load_rig, MUST_SEE_SHARE, rig_of, sensor_named
-from ocp_ros.rig.sensors import SENSORS
+from ocp_ros.rig.sensors import PRICES, SENSORS
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.training.run_folder import read_config
 from ocp_ros.training.training_config import TrainingConfig
@@ -63,10 +63,12 @@ def test_every_key_arrives_in_metres_and_radians(tmp_path):
     rig, d455 = rig_in(tmp_path, RIG), 'realsense_d455'
     wide = CameraModel(0.3, 5.0, np.deg2rad(90.0), np.deg2rad(60.0), (640, 480))
     assert rig.all_cameras[:3] == tuple(
-        Camera(f'{d455}_{number}', d455, SENSORS[d455].model) for number in (1, 2, 3))
+        Camera(f'{d455}_{number}', d455, SENSORS[d455].model, price=PRICES[d455].amount)
+        for number in (1, 2, 3))
+    azure = 'azure_kinect_nfov'
     assert rig.all_cameras[3:] == (
         Camera('wide', '', wide),
-        Camera('door', 'azure_kinect_nfov', SENSORS['azure_kinect_nfov'].model))
+        Camera('door', azure, SENSORS[azure].model, price=PRICES[azure].amount))
     np.testing.assert_allclose(rig.fixed_poses, [[1.0, 2.0, 2.2, np.pi / 2, np.pi / 9, 0.0]])
     assert rig.mount == ('walls', (1.8, 2.4), 0.0)
     assert rig.pitch + rig.rolls == pytest.approx((0.0, np.pi / 3, 0.0, np.pi / 2))

@@ -14,7 +14,6 @@
 
 """Sheets for the installer as PDF, A4 or A3: plan and elevations to scale, views, materials."""
 
-from collections import Counter
 from collections.abc import Iterator, Sequence
 import io
 from pathlib import Path
@@ -25,6 +24,7 @@ from matplotlib.backends.backend_pdf import PdfPages
 from matplotlib.figure import Figure
 import numpy as np
 from ocp_ros.report.assessment import Assessment
+from ocp_ros.report.bill import BILL_COLUMNS, bill_rows
 from ocp_ros.report.camera_words import camera_colour, lens_text
 from ocp_ros.report.drawing.assessment_pictures import (
     corners_of_plan,
@@ -39,7 +39,6 @@ from ocp_ros.report.drawing.saved_pictures import draw_table, fonts_for_all_lett
 from ocp_ros.report.facts import page_facts_of, PageFacts, percent
 from ocp_ros.report.wall_lines import wall_lines
 from ocp_ros.report.wall_references import InnerWall, ReferenceWall
-from ocp_ros.rig.sensors import SENSORS
 from ocp_ros.rig.structure import MAX_MOUNT_GAP_M
 from ocp_ros.util.files import write_atomically
 
@@ -297,8 +296,9 @@ def _material_sheet(assessed: Assessment, facts: PageFacts, size: tuple[float, f
                     numbers: Sequence[int]) -> Figure:
     """Return the sheet with the bill of materials, and the instructions for some cameras."""
     figure, box = _empty_sheet(facts, size, 'Bill of materials')
-    row_height = min(0.22, box.height / (len(numbers) + len(SENSORS) + 6.0))
-    rows, top = materials_of(assessed), box.bottom + box.height
+    rows = [BILL_COLUMNS, *bill_rows(assessed.found['bill'])]
+    row_height, top = min(0.22, box.height / (len(numbers) + len(rows) + 4.0)), (
+        box.bottom + box.height)
     height = row_height * len(rows)
     draw_table(figure, (box.left, top - height, box.width, height), rows, 8.0,
                [INK] * (len(rows) - 1))
@@ -308,17 +308,3 @@ def _material_sheet(assessed: Assessment, facts: PageFacts, size: tuple[float, f
     draw_table(figure, (box.left, top - height - 0.4 - below, box.width, below), table, 7.5,
                [darkened(camera_colour(number)) for number in numbers])
     return figure
-
-
-def materials_of(assessed: Assessment) -> list[list[str]]:
-    """Return the bill of materials, as rows with a head: number, item and remark."""
-    cameras = assessed.placement.cameras
-    sensors = Counter((placed.camera.sensor, placed.camera.model) for placed in cameras)
-    rows = [['number', 'item', 'remark']]
-    for (name, model), count in sensors.items():
-        title = SENSORS[name].title if name in SENSORS else name or 'camera'
-        rows.append([str(count), title, lens_text(model)])
-    for mount, count in Counter(placed.mount for placed in cameras).items():
-        rows.append([str(count), {'walls': 'wall mount', 'ceiling': 'ceiling mount'}.get(
-            mount, 'mount in place' if mount == 'fixed' else 'stand, pole or rod'), ''])
-    return rows
