@@ -128,8 +128,9 @@ class PlanResult(ScoreResult):
 def plan(room: RoomLike, rig: RigLike | None = None, *, cameras: int | str | None = None,
          sensor: str = OMNIDIRECTIONAL, mount: str | None = None, planner: str = RIG_SEARCH,
          seconds: float | None = None, evaluations: int | None = None, seed: int = 0,
-         target: float = 0.95, by: str = 'error', most: int = 12, points: int = ROOM_POINTS,
-         progress: Progress | None = None, **reading: Any) -> PlanResult:
+         target: float = 0.95, by: str = 'error', most: int = 12, budget: float | None = None,
+         points: int = ROOM_POINTS, progress: Progress | None = None, **reading: Any
+         ) -> PlanResult:
     """
     Find the best poses of cameras in a room, as ``ocp plan`` does.
 
@@ -152,6 +153,7 @@ def plan(room: RoomLike, rig: RigLike | None = None, *, cameras: int | str | Non
     :param by: with ``'auto'``, the quantity of this share: ``error`` (reduction of the depth
         error), ``seen`` (visible points) or ``coverage`` (covered space).
     :param most: with ``'auto'``, the largest number of cameras to try.
+    :param budget: with ``'auto'``, the largest price of all cameras to be placed.
     :param points: largest number of points of the room; a larger scan is thinned to it.
     :param progress: is called several times a second with the used share of the budget and the
         lowest objective value; its result is ignored.
@@ -166,7 +168,10 @@ def plan(room: RoomLike, rig: RigLike | None = None, *, cameras: int | str | Non
     if progress is not None and not callable(progress):
         raise ConfigurationError(f'progress: found {progress!r}; expected a function')
     auto = isinstance(cameras, str) and cameras == AUTO
+    check_positive('budget', budget)
     counting = _counting(target, by, most) if auto else None
+    if counting is not None and budget is not None:
+        counting = counting._replace(budget=float(budget))
     task = PlanTask(planner, seconds, evaluations, seed, counting)
     full_rig = _read_rig(rig, cameras, sensor, mount)
     scene, record = _read_room(room, points, reading)
@@ -274,9 +279,8 @@ def _read_rig(rig: RigLike | None, cameras: int | str | None, sensor: str,
         raise ConfigurationError(f'rig: found {type(rig).__name__}; expected the path of a rig '
                                  'file, its content as a mapping, or a rig; see '
                                  'docs/reference/rig.md')
-    # ``with_count`` refuses a rig with several groups of cameras; with ``'auto'`` it is called for
-    # this check only, and the number stays.
-    return rig if cameras is None else with_count(rig, int(count or len(rig.cameras)))
+    # ``with_count`` refuses a rig with several groups of cameras.
+    return with_count(rig, int(count)) if count else rig
 
 
 def _read_placement(placement: Any, rig: Rig | None, sensor: str) -> Placement:

@@ -75,6 +75,11 @@ def read_share(text: str) -> float:
     return read_number(text, 'a share above 0, at most 1', lambda value: 0.0 < value <= 1.0)
 
 
+def read_price(text: str) -> float:
+    """Read a price above 0."""
+    return read_number(text, 'a price above 0', lambda value: 0.0 < value < math.inf)
+
+
 def read_number(text: str, expected: str, is_valid: Callable[[float], bool]) -> float:
     """
     Read a number and check it.

@@ -35,6 +35,7 @@ from ocp_ros.cli.arguments import (
     add_room,
     read_cameras,
     read_count,
+    read_price,
     read_seconds,
     read_seed,
     read_share,
@@ -77,6 +78,9 @@ def add_arguments(commands: Commands) -> None:
                          'the space coverage')
     command.add_argument('--most', type=read_cameras, help='with auto: largest number of cameras; '
                          'default: 12')
+    command.add_argument('--budget', type=read_price, metavar='PRICE', help='with auto: largest '
+                         'price of all cameras to be placed, by the list prices or those of the '
+                         'rig file')
     command.add_argument('--planner', default='rig_search', metavar='NAME',
                          help='planner that searches: rig_search (default) or a name of '
                          'docs/reference/planners.md, such as cma_es or lookahead')
@@ -181,9 +185,8 @@ def rig_asked(arguments: argparse.Namespace) -> 'Rig':
         raise ConfigurationError(
             f'--mount: found {arguments.mount} with --rig; expected one of the two: the rig file '
             'says its mount; leave --mount out, or change the key mount of the file')
-    # ``with_count`` refuses a rig with several groups of cameras; with ``auto`` it is called for
-    # this check only, and the number stays.
-    return rig if number is None else with_count(rig, number or len(rig.cameras))
+    # ``with_count`` refuses a rig with several groups of cameras.
+    return with_count(rig, number) if number else rig
 
 
 @contextmanager

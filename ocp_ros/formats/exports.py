@@ -96,13 +96,16 @@ def _write_installer_page(exported: Exported, page: Path, plan: Path) -> None:
 
 
 def _write_report(exported: Exported, *paths: Path) -> None:
-    """Write the PNG pages and, if cameras were counted, the curve."""
+    """Write the PNG pages and, if cameras were counted, the curve and the Pareto front."""
     from ocp_ros.report.drawing import assessment_pictures, report_page
-    *_, curve = paths
+    *_, curve, front = paths
     for _ in report_page.draw_pages(curve.parent, exported.assessed):
         pass
-    if 'curve' in exported.assessed.found:
+    # Mixes have no curve, since their number of cameras rises and falls with the price.
+    if 'mix' not in exported.assessed.found.get('count', {'mix': ''}):
         assessment_pictures.draw_curve(curve, exported.assessed.found)
+    if exported.assessed.found.get('front'):
+        assessment_pictures.draw_front(front, exported.assessed.found['front'])
 
 
 def _write_page(exported: Exported, path: Path) -> None:
@@ -120,7 +123,8 @@ def _write_sheets(paper: str) -> Callable[..., None]:
 
 
 #: Reports, which take seconds to draw.
-REPORTS = {'report': Format(('report.png', 'report_2.png', 'curve.png'), _write_report, True),
+REPORTS = {'report': Format(('report.png', 'report_2.png', 'curve.png', 'front.png'),
+                            _write_report, True),
            'html': Format(('report.html',), _write_page, True)}
 #: Formats that are written unless others are asked for.
 DEFAULT = {'placement': Format(PLACEMENT_FILES, _write_placements),

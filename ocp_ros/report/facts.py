@@ -41,6 +41,8 @@ REGION_COLUMNS = ('region', 'seen', 'required', 'satisfied')
 ROOM_COLUMNS = ('room', 'area', 'around (x, y)', 'cameras', 'seen')
 #: Column heads of the table of requirements.
 REQUIREMENT_COLUMNS = ('required of', 'by each point', 'met', 'required', 'satisfied')
+#: Column heads of the Pareto front of price and objective value.
+FRONT_COLUMNS = ('cameras', 'price', 'depth error', 'objective value', 'by')
 #: By the key of a share that cameras reach: its column head, and its denominator in a sentence.
 SHARE_LABELS = {'seen': ('of visible points', 'points that can be seen'),
                 'coverage': ('of reachable space', 'space that can be covered'),
@@ -323,10 +325,21 @@ def quality_lines(findings: Mapping[str, Any]) -> Iterator[str]:
            f'{metres(findings["scores"]["validation_error"])} on others.')
 
 
+def front_rows(found: Mapping[str, Any]) -> list[tuple[str, ...]]:
+    """Return the rows of the Pareto front with :data:`FRONT_COLUMNS`; [] without prices."""
+    return [(row['mix'], f'{row["price"]:,.0f}', metres(row['depth_error']), f'{row["loss"]:.4f}',
+             'plan' if row['planned'] else 'estimate') for row in found.get('front', ())]
+
+
 def count_sentence(count: Mapping[str, Any]) -> str:
     """Return a sentence on the number of cameras that reaches the target, in this search."""
     target = f'{percent(count["target"])} of the {SHARE_LABELS[count["by"]][1]}'
     cameras, fewer = count_text(count['cameras'], 'camera'), count.get('fewer')
+    if 'mix' in count:
+        return f'{count["mix"]} ' + (
+            f'reach {target}; no cheaper cameras on the estimated front did in this search'
+            if count['reached'] else
+            f'did not reach {target} in this search, nor did cheaper cameras')
     if not count['reached']:
         return f'{cameras}, the largest number planned, did not reach {target} in this search'
     return f'{cameras} reach{"es" * (count["cameras"] == 1)} {target}' + (

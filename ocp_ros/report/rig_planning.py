@@ -14,6 +14,7 @@
 
 """Plan a rig in a room: the search, the proof, and the assessment of the result."""
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from math import ceil
@@ -27,10 +28,14 @@ from ocp_ros.rig.placement_file import created_by, Placement, placement_of
 from ocp_ros.rig.rig_file import Rig, with_count
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.search.budget import Budget, Progress
+from ocp_ros.search.candidate_pool import views_of
+from ocp_ros.search.mixes import Mix, mixes_of, pareto_front, prices_of
 from ocp_ros.search.proof.certificate import Certificate
 from ocp_ros.search.registry import check_planner, RIG_SEARCH
 from ocp_ros.search.rig_plan import RigPlan, RigPlanner
+from ocp_ros.simulation.objective import RigEvaluation
 from ocp_ros.simulation.ray_visibility import with_rays
+from ocp_ros.util.settings import ConfigurationError
 
 #: Default number of cameras.
 CAMERAS = 4
@@ -48,11 +53,13 @@ class Counting(NamedTuple):
     :ivar by: quantity that the share is of: ``error`` (reduction of the depth error), ``seen``
         (points) or ``coverage`` (of space).
     :ivar most: largest number of cameras to try.
+    :ivar budget: largest price of all cameras to be placed; infinite for no limit.
     """
 
     target: float = 0.95
     by: str = 'error'
     most: int = 12
+    budget: float = np.inf
 
 
 @dataclass(frozen=True)
@@ -118,8 +125,14 @@ class PlannedRig:
         self.engine = with_rays(PROMISING, scene) if has_exact_mesh else PROMISING
         self.planner = RigPlanner(scene, rig, self.engine, budget, task.seed, progress,
                                   task.planner)
-        self.plans = (list(self._plans_by_count(rig, task.counting)) if task.counting
-                      else [self.planner.plan(rig)])
+        #: The Pareto front of mixes, if the rig has several groups to count.
+        self.mixes: list[Mix] = []
+        if task.counting is None:
+            self.plans = [self.planner.plan(rig)]
+        elif len(rig.document.data['cameras']) > 1:
+            self.plans = self._plans_by_price(rig, task.counting)
+        else:
+            self.plans = list(self._plans_by_count(rig, task.counting))
         # Only the result gets a proof.
         self.plans[-1] = self.planner.certified(self.plans[-1], budget.restarted(proof_seconds))
 
@@ -132,11 +145,52 @@ class PlannedRig:
         """Yield plans with an increasing number of cameras until one reaches the target."""
         # With fewer cameras no point would be seen by enough cameras.
         first = max(rig.least_cameras - len(rig.fixed), 1)
-        for plan in self.planner.count_up(lambda count: with_count(rig, count), first,
-                                          max(counting.most, first)):
+        most = max(counting.most, first)
+        if np.isfinite(counting.budget):
+            price, = prices_of(rig)
+            most = int(min(most, counting.budget // price if price else most))
+            if most < first:
+                raise _poor_budget(counting, first * price)
+        for plan in self.planner.count_up(lambda count: with_count(rig, count), first, most):
             yield plan
             if plan.reaches(counting.by, counting.target):
                 return
+
+    def _plans_by_price(self, rig: Rig, counting: Counting) -> list[RigPlan]:
+        """
+        Return plans of the Pareto front of mixes until one reaches the target, cheapest first.
+
+        If none does, the plan with the lowest loss is the last one.
+        """
+        planner, prices = self.planner, prices_of(rig)
+        mixes = mixes_of(planner.problem(rig).objective, planner.pool, counting.most,
+                         counting.budget, np.random.default_rng([self.task.seed, 2]))
+        if not mixes:
+            raise _poor_budget(counting, min(prices) * max(rig.least_cameras - len(rig.fixed), 1))
+        self.mixes = pareto_front(mixes, [mix.price for mix in mixes], [mix.loss for mix in mixes])
+        plans: list[RigPlan] = []
+        for mix in self.mixes:
+            if plans:
+                # The search for each mix has the whole budget.
+                planner.budget = planner.budget.restarted()
+            plans.append(planner.plan(mix.rig, start=mix.sites))
+            if plans[-1].reaches(counting.by, counting.target):
+                return plans
+            if self.budget.stopped:
+                break
+        best = int(np.argmin([plan.evaluation.loss for plan in plans]))
+        return plans[:best + 1]
+
+    def _front_rows(self) -> list[dict[str, Any]]:
+        """Return the Pareto front of price and loss: the plans, then estimates of dearer mixes."""
+        priced = [plan for plan in self.plans
+                  if all(camera.price is not None for camera in plan.rig.cameras)]
+        rows = [_front_row(plan.rig, plan.evaluation, True) for plan in priced]
+        # Mixes differ in their cameras alone, so one objective evaluates them all.
+        objective = self.planner.problem(self.best.rig).objective
+        rows += [_front_row(mix.rig, objective.evaluate_views(views_of(mix.sites)), False)
+                 for mix in self.mixes[len(self.plans):]]
+        return pareto_front(rows, [row['price'] for row in rows], [row['loss'] for row in rows])
 
     def placement(self, room: dict[str, Any], command: str) -> Placement:
         """
@@ -157,7 +211,8 @@ class PlannedRig:
         """
         # If the search chose the number of cameras, add the scores of each number, and the choice.
         count_findings = {} if self.task.counting is None else {
-            'curve': curve_rows(self.plans), 'count': self._count_data()}
+            'curve': curve_rows(self.plans), 'count': self._count_data(),
+            'front': self._front_rows()}
         assessed = Assessment.of(self.planner.problem(self.best.rig), placement, frame,
                                  search=self._search_data(), **count_findings)
         columns = ['number', *INSTRUCTION_COLUMNS]
@@ -167,9 +222,13 @@ class PlannedRig:
 
     def _count_data(self) -> dict[str, Any]:
         """Return the number of cameras of the result, and the number tried before, as data."""
-        target, by, _ = self.task.counting
-        return {'cameras': len(self.best.rig.cameras), 'by': by, 'target': target,
-                'reached': self.best.reaches(by, target),
+        target, by, *_ = self.task.counting
+        found = {'cameras': len(self.best.rig.cameras), 'by': by, 'target': target,
+                 'reached': self.best.reaches(by, target)}
+        if self.mixes:
+            # The plan before may have more cameras, which cost less.
+            return {**found, 'mix': mix_text(self.best.rig)}
+        return {**found,
                 'fewer': len(self.plans[-2].rig.cameras) if len(self.plans) > 1 else None}
 
     def _search_data(self) -> dict[str, Any]:
@@ -212,6 +271,26 @@ def certificate_data(proof: Certificate | None, reason: str = '') -> dict[str, A
                         f'{gap_percent(proof.gap):.1f} %{gain} (computed '
                         f'on depth maps of {proof.rows} rows).',
             'gap': proof.gap, 'moved': proof.moved, **asdict(proof)}
+
+
+def _front_row(rig: Rig, evaluation: RigEvaluation, planned: bool) -> dict[str, Any]:
+    """Return a row of the Pareto front as plain data; ``planned`` tells plans from estimates."""
+    return {'mix': mix_text(rig),
+            'price': float(sum(camera.price for camera in rig.cameras)),
+            'cameras': len(rig.cameras), 'depth_error': evaluation.depth_error,
+            'loss': evaluation.loss, 'planned': planned}
+
+
+def mix_text(rig: Rig) -> str:
+    """Return the cameras to be placed as text, such as ``2 x kinect_v2 + 1 x realsense_d455``."""
+    sensors = Counter(camera.sensor or camera.name for camera in rig.cameras)
+    return ' + '.join(f'{count} x {sensor}' for sensor, count in sensors.items())
+
+
+def _poor_budget(counting: Counting, price: float) -> ConfigurationError:
+    """Return the error that a budget is below the price of the cheapest cameras."""
+    return ConfigurationError(f'--budget: found {counting.budget:g}; expected at least {price:g}, '
+                              'the price of the fewest cameras; raise it')
 
 
 def curve_rows(plans: Sequence[RigPlan]) -> list[dict[str, Any]]:

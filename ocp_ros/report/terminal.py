@@ -25,6 +25,8 @@ from ocp_ros.report.facts import (
     count_sentence,
     details_of,
     facts_of,
+    FRONT_COLUMNS,
+    front_rows,
     metres,
     percent,
     quality_lines,
@@ -104,6 +106,8 @@ def show_score(console: Console, findings: Mapping[str, Any]) -> None:
             (str(row['cameras']), f'{row["loss"]:.4f}', metres(row['depth_error']),
              *(percent(row[f'share_{name}']) for name in SHARE_LABELS))
             for row in findings['curve']])
+        if rows := front_rows(findings):
+            print_table(console, 'Price', FRONT_COLUMNS, rows)
         console.print(count_sentence(findings['count']), highlight=False)
 
 

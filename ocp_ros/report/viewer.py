@@ -45,6 +45,8 @@ from ocp_ros.report.drawing.room_drawing import (
     room_of,
 )
 from ocp_ros.report.facts import (
+    FRONT_COLUMNS,
+    front_rows,
     page_facts_of,
     REGION_COLUMNS,
     REQUIREMENT_COLUMNS,
@@ -356,6 +358,8 @@ def tables_of(assessed: Assessment) -> Iterator[str]:
         yield '<h2>Rooms</h2>' + _html_table(ROOM_COLUMNS, *zip(*facts.rooms))
     if facts.requirements:
         yield '<h2>Requirements</h2>' + _html_table(REQUIREMENT_COLUMNS, facts.requirements)
+    if rows := front_rows(assessed.found):
+        yield '<h2>Price</h2>' + _html_table(FRONT_COLUMNS, rows)
     yield '<h2>Bill of materials</h2>' + _html_table(
         BILL_COLUMNS, bill_rows(assessed.found['bill']))
     yield from _html_paragraphs(facts.links, facts.origin, facts.meaning)

@@ -413,13 +413,28 @@ def with_count(rig: Rig, count: int) -> Rig:
     document = rig.document
     if len(groups := document.data['cameras']) > 1:
         raise document.error(('cameras',), f'{len(groups)} groups', 'one, whose cameras can be '
-                             'counted', 'leave out --count, or all groups but one')
-    group = {**groups[0], 'count': count}
-    # Serial numbers belong to a number of cameras.
-    if 'serial' in group and count != groups[0].get('count', 1):
-        del group['serial']
-    data = {**document.data, 'cameras': [group]}
-    return rig_from(Document(document.name, data, document.lines))
+                             'counted', 'write --count auto, or leave it out, or all groups but '
+                             'one')
+    return with_counts(rig, [count])
+
+
+def with_counts(rig: Rig, counts: Sequence[int]) -> Rig:
+    """
+    Return a rig with another number of cameras of each of its groups.
+
+    :param counts: for each entry of ``cameras`` in the rig's document; groups with 0 are left out.
+    :raises ConfigurationError: if there are too many cameras.
+    """
+    document, groups = rig.document, []
+    for old, count in zip(document.data['cameras'], counts, strict=True):
+        group = {**old, 'count': count}
+        # Serial numbers belong to a number of cameras.
+        if 'serial' in group and count != old.get('count', 1):
+            del group['serial']
+        if count:
+            groups.append(group)
+    return rig_from(Document(document.name, {**document.data, 'cameras': groups},
+                             document.lines))
 
 
 def sensor_named(name: str) -> str:

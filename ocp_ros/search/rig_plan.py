@@ -23,7 +23,7 @@ from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.rig.rig_file import Rig
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.search.budget import Budget, Progress
-from ocp_ros.search.candidate_pool import check_regions, pool_of, views_of
+from ocp_ros.search.candidate_pool import check_regions, pool_of, Sites, views_of
 from ocp_ros.search.plan import load_kernels, plan
 from ocp_ros.search.pose_annealing import SearchResult
 from ocp_ros.search.proof.certificate import Certificate, unprovable_reason
@@ -148,16 +148,16 @@ class RigPlanner:
             self._problems = {rig: Problem.of(self.scene, rig, config)}
         return self._problems[rig]
 
-    def plan(self, rig: Rig, before: SearchResult | None = None) -> RigPlan:
+    def plan(self, rig: Rig, before: SearchResult | None = None, start: Sites = ()) -> RigPlan:
         """
         Find the best placement of a rig, and compare it with bounds and random placements.
 
         :param before: result for a rig with one camera less; the new placement is not worse if
             one more camera fits into that result.
+        :param start: a placement of the rig; the new one is not worse. Empty for none.
         :raises ConfigurationError: if the cameras do not fit into the room.
         """
         problem = self.problem(rig)
-        start: tuple = ()
         # If no camera can be added, the search starts without a placement.
         if before is not None and (
                 site := self.pool.best_addition(problem.objective, before.sites)) is not None:

@@ -294,6 +294,50 @@ def test_a_rig_file_of_one_group_is_counted_from_where_it_can_be_seen(files, cap
     assert len(with_count(rig, 7).cameras) == 7 and len(with_count(rig, 7).regions) == 1
 
 
+MIXED = """\
+cameras: [{sensor: realsense_d455}, {sensor: kinect_v2, price: 200}]
+mount: {on: walls, height: [1.6, 2.4]}
+"""
+
+
+def test_mixes_of_groups_are_bought_within_a_budget(files, capsys, undrawn):
+    (files / 'rig.yaml').write_text(MIXED)
+    ask = ('plan', 'room.ply', '--rig', 'rig.yaml', '--count', 'auto', '--most', 3, '--points',
+           1500, '--evaluations', 16)
+    found = printed(capsys, *ask, '--target', 0.99, '--budget', 900)
+    front = found['front']
+    prices, losses = ([row[key] for row in front] for key in ('price', 'loss'))
+    assert prices == sorted(prices) and losses == sorted(losses, reverse=True)
+    assert prices[-1] <= 900 and len(front) > 2 and not found['count']['reached']
+    assert found['bill']['total'] == prices[-1] and found['scores']['loss'] == losses[-1]
+    assert front[-1]['mix'] == found['count']['mix'] and front[-1]['cameras'] <= 3
+    assert {row['price'] for row in found['front']} <= {
+        419.0 * one + 200.0 * other for one in range(4) for other in range(4 - one)}
+    # What a smaller target needs costs less, and dearer mixes are estimated.
+    cheaper = printed(capsys, *ask, '--target', 0.3, '--out', 'cheap')
+    assert cheaper['count']['reached'] and cheaper['bill']['total'] < 900
+    planned = [row['planned'] for row in cheaper['front']]
+    assert planned == sorted(planned, reverse=True) and planned[0] and not planned[-1]
+    assert 'cheap/front.png' in cheaper['written'] and (
+        'cheap/curve.png' not in cheaper['written'])
+
+
+def test_equal_cameras_are_counted_within_a_budget(files, capsys, undrawn):
+    found = printed(capsys, 'plan', 'room.ply', '--model', 'd455', '--count', 'auto', '--budget',
+                    900, '--target', 1.0, '--points', 1500, '--evaluations', 16)
+    assert [row['price'] for row in found['front']] == [419.0, 838.0]
+
+
+@pytest.mark.parametrize(('rig', 'words', 'found'), [
+    (MIXED, '--count auto --budget 150', 'expected at least 200'),
+    (MIXED.replace('kinect_v2, price: 200', 'gemini_2'), '--count auto', 'price is not known'),
+    (MIXED, '--budget 1000', '--count auto'), (MIXED, '--count 3', '2 groups')])
+def test_budgets_that_buy_nothing_are_refused(files, capsys, rig, words, found):
+    (files / 'rig.yaml').write_text(rig)
+    assert found in refused(capsys, 'plan', 'room.ply', '--rig', 'rig.yaml', *words.split(),
+                            '--points', '1500')
+
+
 @pytest.mark.parametrize(('arguments', 'words'), [
     ('none.ply', 'none.ply'), ('room.ply --rig none.yaml', 'none.yaml'),
     ('room.ply --rig room.ply', 'room.ply: line'), ('room.ply --model d4', "'d4'"),

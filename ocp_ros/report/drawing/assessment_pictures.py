@@ -14,7 +14,7 @@
 
 """The pictures of an assessment: plans, coverage, depth error and perspective views."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -54,6 +54,7 @@ from ocp_ros.report.drawing.room_drawing import (
 )
 from ocp_ros.report.drawing.saved_pictures import save_figure
 from ocp_ros.report.facts import count_sentence, SHARE_LABELS
+from ocp_ros.rig.sensors import CURRENCY
 
 #: Colours of points seen by 0, 1, 2, and 3 or more cameras; they differ in hue and lightness.
 COUNT_COLOURS = ('#d55e00', '#b7d4ea', '#5b9bd0', '#174f8f')
@@ -304,6 +305,33 @@ def draw_curve(path: Path, findings: Mapping[str, Any]) -> None:
     error.set_ylabel('depth error (m)', color='tab:red')
     axes.legend(loc='center right', fontsize=8)
     axes.set_title(count_sentence(count), fontsize=9)
+    figure.tight_layout()
+    save_figure(figure, path, dpi=100)
+
+
+def draw_front(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
+    """
+    Write a PNG of the Pareto front: depth error by price, with the cameras of each point.
+
+    :param path: file to write.
+    :param rows: ``front`` of the findings of a plan that counted cameras.
+    """
+    figure = Figure(figsize=(7.0, 4.5), dpi=100, facecolor='white')
+    axes = figure.add_subplot()
+    axes.step([row['price'] for row in rows], [row['depth_error'] for row in rows],
+              where='post', color=PALE_INK, lw=0.8)
+    for planned, style, label in ((True, 'o', 'plan'), (False, 'x', 'estimate, without a search')):
+        some = [row for row in rows if row['planned'] == planned]
+        axes.plot([row['price'] for row in some], [row['depth_error'] for row in some], style,
+                  color=INK if planned else PALE_INK, label=label)
+    for row in rows:
+        axes.annotate(row['mix'], (row['price'], row['depth_error']), (2, 5),
+                      textcoords='offset points', fontsize=6, color=INK, rotation=60)
+    # Space for the names of the first and of the last cameras.
+    axes.margins(x=0.15)
+    axes.set(xlabel=f'price ({CURRENCY}, or that of the rig file)', ylabel='depth error (m)',
+             ylim=(0.0, 1.4 * max(row['depth_error'] for row in rows)))
+    axes.legend(fontsize=8)
     figure.tight_layout()
     save_figure(figure, path, dpi=100)
 
