@@ -226,6 +226,13 @@ def _add_lost_depth(trees, seen, lost):
                 node += np.uint32(1)
 
 
+def _join(arrays: list[np.ndarray]) -> np.ndarray:
+    """Concatenate the arrays of a list, and empty it."""
+    joined = np.concatenate(arrays)
+    arrays.clear()
+    return joined
+
+
 class DepthError:
     """
     The depth observation error of a scene for any subset of its points.
@@ -267,15 +274,19 @@ class DepthError:
         # Of each viewpoint: its position and the points that it does not leave out.
         inputs = [(position, (fold != number % folds) if folds > 1 else None)
                   for number, position in enumerate(viewpoints)]
-        self._maps, all_trees = [], []
-        for trees, depth_map in mapped(
-                lambda pair: self._trees_and_map(points, half_sides, *pair), inputs):
-            # The indices of nodes go on after the trees of earlier viewpoints.
-            end = trees.end + np.uint32(sum(len(earlier.end) for earlier in all_trees))
-            all_trees.append(trees._replace(end=end))
+        results = mapped(lambda pair: self._trees_and_map(points, half_sides, *pair), inputs)
+        self._maps = [depth_map for _, depth_map in results]
+        for depth_map in self._maps:
             depth_map.setflags(write=False)
-            self._maps.append(depth_map)
-        self.trees = Trees(*(np.concatenate(field) for field in zip(*all_trees)))
+        parts = Trees(*map(list, zip(*(trees for trees, _ in results))))
+        # All trees need much memory, so those of a viewpoint are freed when they are joined.
+        del results
+        count = 0
+        for number, end in enumerate(parts.end):
+            # The indices of nodes go on after the trees of earlier viewpoints.
+            parts.end[number] = end + np.uint32(count)
+            count += len(end)
+        self.trees = Trees(*map(_join, parts))
         # Calling this object computes an error, here without any visible point.
         self.worst = self(no_bits(len(points)))
         if folds > 1:

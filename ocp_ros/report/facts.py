@@ -243,7 +243,7 @@ def _figures(findings: Mapping[str, Any]) -> list[Figure]:
         figures.append(Figure('overlap', 'connected' if groups == 1 else f'{groups} groups',
                               f'pairs share {percent(links["overlap"])} or more'))
     certificate = findings['search']['certificate'] if 'search' in findings else {'gap': None}
-    if certificate['gap'] is not None:
+    if certificate['gap'] is not None and certificate['bound'] > 0.0:
         figures.append(Figure('better by at most', f'{gap_percent(certificate["gap"]):.1f} %',
                               f'on {certificate["candidates"]:,} candidate poses'))
     if one_more := findings['one_more']:

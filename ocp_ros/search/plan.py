@@ -45,6 +45,7 @@ from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.problem import Problem
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.util.resources import DEFAULT_MODEL
+from ocp_ros.util.threads import return_freed_arrays
 
 _log = logging.getLogger(__name__)
 
@@ -53,10 +54,12 @@ def load_kernels(online: bool = False) -> None:
     """
     Load the compiled kernels of a search, so that this takes none of its time.
 
+    The process also returns freed arrays from now on, since a search needs many large ones.
     Each planner plans once in a process in a tiny room; without cached kernels it compiles them.
 
     :param online: whether those of online planners are loaded too.
     """
+    return_freed_arrays()
     notice = Timer(2.0, _log.warning, (
         'compiling the kernels, once for this computer: about 30 s; the time of the search begins '
         'after this',))

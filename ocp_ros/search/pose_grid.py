@@ -16,6 +16,7 @@
 
 from collections.abc import Callable, Sequence
 from copy import copy
+from typing import NamedTuple
 
 import numpy as np
 from ocp_ros.geometry.cameras import CameraModel
@@ -27,6 +28,27 @@ from scipy.spatial import cKDTree
 
 #: Approximate largest number of poses; if there would be more, places are farther apart.
 MAX_GRID_POSES = 40_000
+
+
+class PlaceView(NamedTuple):
+    """
+    The points that a camera sees from one place, in little memory: most share their headings.
+
+    :ivar bits: packed bits of the points that are visible with any heading, by ``packbits``.
+    :ivar masks: (n, W) uint64, the different sets of headings with which points are visible, as
+        bits; see :meth:`~ocp_ros.simulation.simulator.Simulator.look_around`.
+    :ivar numbers: for each visible point the number of its set of headings.
+    """
+
+    bits: np.ndarray
+    masks: np.ndarray
+    numbers: np.ndarray
+
+    @property
+    def points(self) -> np.ndarray:
+        """Return the numbers of the visible points, in the engine's order."""
+        # The bits behind the last point are 0.
+        return np.flatnonzero(np.unpackbits(self.bits))
 
 
 class PoseGrid:
@@ -54,8 +76,7 @@ class PoseGrid:
         self._all_headings = np.empty((0, 0, 3))
         self._added = 0
         self._least_step = 0.0
-        #: For each place the visible points, and their headings as bits; see ``look_around``.
-        self._visible: list[tuple[np.ndarray, np.ndarray]] = []
+        self._visible: list[PlaceView] = []
 
     @classmethod
     def of(cls, region: FeasibleRegion, simulator: Simulator, model: CameraModel, camera: int,
@@ -72,8 +93,8 @@ class PoseGrid:
         :raises ConfigurationError: if the camera has no feasible pose.
         """
         grid = cls(simulator, camera)
-        # All poses take at most 1 GB: a pose takes about a tenth of a byte per point of the scene.
-        max_poses = min(max_poses, 10 * 1_000_000_000 // simulator.row_count)
+        # All poses take at most 0.5 GB: a pose takes about a fortieth of a byte per point.
+        max_poses = min(max_poses, 40 * 500_000_000 // simulator.row_count)
         distance_m = 0.3
         places, headings, grid._least_step = region.pose_grid(
             model, distance_m, max_poses, min_places)
@@ -148,17 +169,32 @@ class PoseGrid:
         # The old array and lists stay unchanged, because copies of this grid share them.
         self.places = np.vstack([self.places, *(poses[:1, :3] for poses in groups)])
         self.headings = [*self.headings, *(poses[:, 3:] for poses in groups)]
-        self._visible = [*self._visible, *mapped(lambda poses: self._simulator.look_around(
-            poses[0, :3], poses[:, 3:], self._camera), groups)]
+        self._visible = [*self._visible, *mapped(self._look_around, groups)]
+
+    def _look_around(self, poses: np.ndarray) -> 'PlaceView':
+        """Compute the visible points of poses (H, 6) at one place."""
+        points, bits = self._simulator.look_around(poses[0, :3], poses[:, 3:], self._camera)
+        visible = np.zeros(self._simulator.row_count, dtype=bool)
+        visible[points] = True
+        # Points in the engine's order are near each other, so mostly the next one is the same.
+        changes = np.flatnonzero((bits[1:] != bits[:-1]).any(axis=1)) + 1
+        starts = np.append(0, changes)[:len(bits)]
+        masks, numbers = np.unique(bits[starts], axis=0, return_inverse=True)
+        kind = np.uint16 if len(masks) <= 2 ** 16 else np.uint32
+        numbers = np.repeat(numbers.ravel().astype(kind), np.diff(np.append(starts, len(bits))))
+        return PlaceView(np.packbits(visible), masks, numbers)
 
     def pose(self, place: int, heading: int) -> np.ndarray:
         """Return a pose: (6,) metres, map frame, and radians, rounded as in files."""
         return np.append(self.places[place], self.headings[place][heading])
 
-    def visible_points(self, place: int, heading: int) -> np.ndarray:
-        """Return the numbers of the points that a pose sees, in the engine's order: (n,) int32."""
-        points, bits = self._visible[place]
-        return points[((bits[:, heading // 64] >> np.uint64(heading % 64)) & np.uint64(1)) > 0]
+    def visible_points(self, place: int, headings: Sequence[int]) -> list[np.ndarray]:
+        """Return the numbers of the points, in the engine's order, that each heading sees."""
+        visible = self._visible[place]
+        points = visible.points.astype(np.int32)
+        with_heading = [(visible.masks[:, heading // 64] >> np.uint64(heading % 64))
+                        & np.uint64(1) for heading in headings]
+        return [points[seen.astype(bool)[visible.numbers]] for seen in with_heading]
 
     def batch_places(self, places: np.ndarray) -> list[list[int]]:
         """
@@ -189,11 +225,11 @@ class PoseGrid:
             next places. W is the number of words of 64 bits, more than 1 only for a single place.
         """
         # The bits of the first place; the other places of a batch have the same number of words.
-        words = self._visible[places[0]][1].shape[1]
+        words = self._visible[places[0]].masks.shape[1]
         first_bit = 0
         seen_by = np.zeros((self._simulator.row_count, words), dtype=np.uint64)
         for place in places:
-            points, bits = self._visible[place]
-            seen_by[points] |= bits << np.uint64(first_bit)
+            visible = self._visible[place]
+            seen_by[visible.points] |= (visible.masks << np.uint64(first_bit))[visible.numbers]
             first_bit += len(self.headings[place])
         return seen_by

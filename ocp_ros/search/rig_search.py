@@ -386,10 +386,9 @@ class GrowingProof:
         # If there was no time to raise the bound on all poses, that of the grids before says more.
         if final is not None and proved.bound < (1.0 - TUNING.small_gap) * min(loss, final.bound):
             proved = final
-        # A bound of 0 proves something only for a loss of 0.
-        if proved.bound <= 0.0 < loss:
-            return None, ('the bound is 0, for these poses together miss almost nothing'
-                          if self.relaxation.closed else 'there was no time to prove one')
+        # A final bound of 0 says that no placement gains more than the whole loss of this one.
+        if proved.bound <= 0.0 < loss and not self.relaxation.closed:
+            return None, 'there was no time to prove one'
         # Without poses near the cameras, no choice of the grids may be as good as the placement.
         bound = min(max(proved.bound - self.relaxation.trees.rounding, 0.0), loss)
         problem = self._problem

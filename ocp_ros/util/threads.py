@@ -16,6 +16,8 @@
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+import ctypes
 import os
 from typing import TypeVar
 
@@ -25,6 +27,14 @@ U = TypeVar('U')
 #: The threads besides the calling thread; None if there is only that thread.
 _helpers: ThreadPoolExecutor | None = None
 _thread_count = 1
+
+
+def return_freed_arrays() -> None:
+    """Let the C library return large freed arrays to the system at once, if it is glibc."""
+    # Otherwise each thread keeps freed arrays of up to 32 MB for itself.
+    mmap_threshold, limit_bytes = -3, 1 << 20
+    with suppress(AttributeError, OSError):
+        ctypes.CDLL(None).mallopt(mmap_threshold, limit_bytes)
 
 
 def cores() -> int:

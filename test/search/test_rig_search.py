@@ -26,6 +26,7 @@ from ocp_ros.rig.rig_file import rig_from, rig_of
 from ocp_ros.search.budget import Budget
 from ocp_ros.search.candidate_pool import CandidatePool
 from ocp_ros.search.pose_grid import PoseGrid
+from ocp_ros.search.proof.certificate import Certificate
 from ocp_ros.search.proof.column_generation import Column, ColumnGeneration
 from ocp_ros.search.proof.loss_trees import LossTrees, poses_by_point
 from ocp_ros.search.rig_plan import RigPlanner
@@ -79,7 +80,7 @@ def few_of(problem, most):
 def view_of(grid, place, heading, points):
     """Return what a pose of a grid sees, and what meets each requirement, without cells."""
     flags = np.zeros(grid._simulator.row_count, dtype=bool)
-    flags[grid.visible_points(place, heading)] = True
+    flags[grid.visible_points(place, [heading])[0]] = True
     seen, *good = map(pack, flags.reshape(-1, points))
     return View(seen, no_bits(0), good=np.array(good))
 
@@ -106,7 +107,7 @@ def test_one_look_around_is_a_look_by_each_heading(mount):
             pose = grid.pose(place, heading)
             assert problem.region.allowed(pose[None], problem.rig.models[0]).all()
             seen = np.flatnonzero(unpack(problem.simulator.look(pose).seen, points))
-            assert np.array_equal(grid.visible_points(place, heading), seen)
+            assert np.array_equal(grid.visible_points(place, [heading])[0], seen)
 
 
 @pytest.mark.parametrize('preset', ['fine', 'fast', 'paper'])
@@ -141,16 +142,19 @@ def test_the_trees_are_the_loss_and_cuts_are_below(asked, data):
     share = np.array(data.draw(strategies.lists(strategies.floats(0.0, 1.0), min_size=len(poses),
                                                 max_size=len(poses))))
     loss = problem.objective.loss([view_of(grid, *poses[k], points) for k in chosen])
-    rows = problem.simulator.row_count
-    own = poses_by_point([grid.visible_points(*poses[k]) for k in chosen], rows)
-    missed, _ = trees.loss_cuts(own, len(chosen),
-                                trees.unserved_nodes(own, np.ones(len(chosen))))
-    assert np.maximum(missed, 0.0).sum() == pytest.approx(loss, abs=1e-6)
-    seen_by = poses_by_point([grid.visible_points(*pose) for pose in poses], rows)
-    constants, gains = trees.loss_cuts(seen_by, len(poses),
-                                       trees.unserved_nodes(seen_by, share))
+    seen_by = poses_by_point([grid.visible_points(place, [heading])[0]
+                              for place, heading in poses], problem.simulator.row_count)
     choice = np.zeros(len(poses))
     choice[chosen] = 1.0
+    # The loss of these poses on all trees, and on those that are merged for them.
+    merged, rows = trees.merged(seen_by)
+    assert len(merged.weights) < len(trees.weights) == len(rows)
+    for some in (trees, merged):
+        missed, _ = some.loss_cuts(seen_by, len(poses),
+                                   some.weights * some.unserved_nodes(seen_by, choice))
+        assert np.maximum(missed, 0.0).sum() == pytest.approx(loss, abs=1e-6)
+    constants, gains = merged.loss_cuts(seen_by, len(poses),
+                                        merged.weights * merged.unserved_nodes(seen_by, share))
     assert np.maximum(constants - gains @ choice, 0.0).sum() <= loss + 1e-6
 
 
@@ -326,6 +330,11 @@ def test_a_plan_names_its_planner_and_says_how_much_better_others_may_be(
     scored = printed(capsys, 'score', 'room.ply', written / 'placement.yaml', '--out', 'scored')
     assert scored['scores'] == found['scores'] and scored['notes'] == []
     assert planner in (room_folder / 'scored' / 'report.html').read_text()
+
+
+def test_a_bound_of_zero_is_about_all_that_the_placement_misses():
+    proof = Certificate(100, 0.3, False, 15.0, 64, 0.004, 0.0, True, None, 1.0)
+    assert 'all that it still misses, 0.4 %' in certificate_data(proof)['sentence']
 
 
 def test_a_plan_without_a_bound_says_why(plan):

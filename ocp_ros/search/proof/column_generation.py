@@ -26,12 +26,12 @@ become columns, until no pose would improve the choice.
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from itertools import chain
+from itertools import chain, groupby
 from typing import NamedTuple
 
 import numpy as np
 from ocp_ros.search.pose_grid import PoseGrid
-from ocp_ros.search.proof.cut_program import CutProgram
+from ocp_ros.search.proof.cut_program import CutProgram, Optimum
 from ocp_ros.search.proof.loss_trees import LossTrees, poses_by_point, ZERO_TOLERANCE
 from ocp_ros.util.threads import mapped
 from scipy.spatial.distance import cdist
@@ -55,6 +55,7 @@ class ColumnTuning:
     :ivar closed_gap: largest relative difference of bound and optimum of a closed bound.
     :ivar min_loss: smallest loss for relative tolerances: smaller losses are mostly noise and slow
         to prove.
+    :ivar negligible_loss: a relaxed loss up to this is not computed more exactly.
     :ivar equal_loss: losses with a relative difference below this are equal.
     :ivar other_place_m: smallest distance of other choices from a place of the best one, metres.
     """
@@ -69,6 +70,7 @@ class ColumnTuning:
     max_programs: int = 12
     closed_gap: float = 0.004
     min_loss: float = 0.02
+    negligible_loss: float = 5e-4
     equal_loss: float = 1e-6
     other_place_m: float = 0.6
 
@@ -121,7 +123,9 @@ class ColumnGeneration:
         self._point_count = points
         #: Columns of the greedy choice, which are always kept; None before the first program.
         self._greedy: list[Column] | None = None
-        #: For each active cut, the unserved nodes of its choice: (T,) bool.
+        #: The loss of the shares, which is not below the optimum of the program.
+        self._relaxed_loss = np.inf
+        #: For each active cut, the unserved nodes of its choice: (T / 8,) uint8, packed bits.
         self._cut_nodes: list[np.ndarray] = []
         rng = np.random.default_rng(0)
         columns = []
@@ -153,13 +157,23 @@ class ColumnGeneration:
     def _set_columns(self, columns: list[Column]) -> None:
         """Replace the columns; their shares are 0 until the program is solved."""
         self._columns = columns
-        visible_points = [self.grids[grid].visible_points(place, heading)
-                          for grid, place, heading in columns]
-        self._seen_by = poses_by_point(visible_points, self._point_count)
+        self._seen_by = self._poses_by_point(columns)
+        #: The loss of choices among the columns, and the merged node of each node.
+        self._merged, self._merged_rows = self.trees.merged(self._seen_by)
         self._grid_numbers = np.array([column.grid for column in columns])
         self._positions = np.array([self.pose(column)[:3] for column in columns])
         self._too_near = cdist(self._positions, self._positions) < self.spacing
         self._shares = np.zeros(len(columns))
+
+    def _poses_by_point(self, columns: Sequence[Column]) -> np.ndarray:
+        """Return which columns see each point: (N, W) uint64, see :func:`poses_by_point`."""
+        visible_points: dict[Column, np.ndarray] = {}
+        # All headings of a place together, because its visible points are unpacked.
+        for (grid, place), group in groupby(sorted(columns), lambda column: column[:2]):
+            members = list(group)
+            visible_points.update(zip(members, self.grids[grid].visible_points(
+                place, [column.heading for column in members])))
+        return poses_by_point([visible_points[column] for column in columns], self._point_count)
 
     def raise_bound(self, should_stop: Callable[[], bool],
                     places: Sequence[np.ndarray] | None = None) -> None:
@@ -198,7 +212,8 @@ class ColumnGeneration:
             new_columns = self._improving_columns(gains, chosen_gains)
             max_gap = TUNING.closed_gap * max(optimum, TUNING.min_loss)
             # The optimum of the first program is too inexact for the gap.
-            self.closed = not new_columns or bool(number and optimum - self.bound <= max_gap)
+            self.closed = (not new_columns or bool(number and optimum - self.bound <= max_gap)
+                           or self._relaxed_loss <= TUNING.negligible_loss)
             # After the last program, its shares are needed for choices.
             if self.closed or should_stop() or number == TUNING.max_programs - 1:
                 return
@@ -210,9 +225,8 @@ class ColumnGeneration:
         missing = self.counts.copy()
         places = [np.arange(len(grid.places)) for grid in self.grids]
         while missing.any():
-            seen_by = poses_by_point([self.grids[grid].visible_points(place, heading)
-                                      for grid, place, heading in chosen], self._point_count)
-            unserved = self.trees.unserved_nodes(seen_by, np.ones(len(chosen)))
+            unserved = self.trees.unserved_nodes(
+                self._poses_by_point(chosen), np.ones(len(chosen)))
             gains = self._pose_gains(self.trees.weights * unserved, places, should_stop)
             if gains is None:
                 return []
@@ -250,50 +264,73 @@ class ColumnGeneration:
         :returns: its optimum, the multipliers (T,) of all nodes, and the constant of the
             Lagrangian bound, which is its value without any chosen pose.
         """
-        trees = self.trees
-        count = len(self._columns)
+        trees = self._merged
+        count, nodes = len(self._columns), len(trees.weights)
         program = CutProgram(self._grid_numbers, self.counts, len(trees.slacks))
         # The first core point has equal shares for all columns of a grid.
         core = (self.counts / np.bincount(self._grid_numbers))[self._grid_numbers]
         # Start from the active cuts of the last program; the first program starts from cuts at the
-        # core point. The program numbers its cuts by the index of their nodes in this list.
-        cut_nodes = [*self._cut_nodes] or [trees.unserved_nodes(self._seen_by, core)]
-        for number, unserved in enumerate(cut_nodes):
-            program.add_cuts(number, *trees.loss_cuts(self._seen_by, count, unserved))
+        # core point. The program numbers these cuts from 0, and goes on with the new ones.
+        old_cuts = self._cut_nodes
+        for number, bits in enumerate(old_cuts):
+            unserved = np.unpackbits(bits, count=len(self._merged_rows))
+            weights = np.bincount(self._merged_rows, self.trees.weights * unserved, nodes)
+            program.add_cuts(number, *trees.loss_cuts(self._seen_by, count, weights))
+        # The unserved merged nodes of the new cuts, as packed bits.
+        new_cuts: list[np.ndarray] = []
+
+        def add_cuts(shares: np.ndarray, solution: Optimum | None) -> float:
+            """Add the cuts at a choice; return their loss at the solution."""
+            unserved = trees.unserved_nodes(self._seen_by, shares)
+            constants, gains = trees.loss_cuts(self._seen_by, count, trees.weights * unserved)
+            losses, raised = np.zeros(len(constants)), slice(None)
+            if solution is not None:
+                losses = np.maximum(constants - gains @ solution.shares, 0.0)
+                # Only cuts above the program's losses are added; equal losses differ by rounding.
+                raised = losses > solution.losses + TUNING.equal_loss * losses.sum() / len(losses)
+            program.add_cuts(len(old_cuts) + len(new_cuts), constants, gains, raised)
+            new_cuts.append(np.packbits(unserved))
+            return float(losses.sum())
+
+        if not old_cuts:
+            add_cuts(core, None)
         # Add cuts at the optima until the program's losses are nearly the real ones.
         for _ in range(TUNING.max_rounds):
             solution = program.solve(should_stop)
             optimum = solution.losses.sum()
             # The loss at the solution: the largest value of the new cuts there.
-            loss = 0.0
-            for shares in (solution.shares, 0.5 * (core + solution.shares)):
-                unserved = trees.unserved_nodes(self._seen_by, shares)
-                constants, gains = trees.loss_cuts(self._seen_by, count, unserved)
-                losses = np.maximum(constants - gains @ solution.shares, 0.0)
-                loss = max(loss, losses.sum())
-                # Only cuts above the program's losses are added; equal losses differ by rounding.
-                raised = losses > solution.losses + TUNING.equal_loss * loss / len(losses)
-                program.add_cuts(len(cut_nodes), constants, gains, raised)
-                cut_nodes.append(unserved)
+            loss = max(add_cuts(shares, solution)
+                       for shares in (solution.shares, 0.5 * (core + solution.shares)))
             core = 0.5 * (core + solution.shares)
-            converged = loss - optimum <= tolerance * max(loss, TUNING.min_loss)
+            converged = (loss - optimum <= tolerance * max(loss, TUNING.min_loss)
+                         or loss <= TUNING.negligible_loss)
             if converged or not solution.optimal or should_stop():
                 break
+
+        def nodes_of(number: int) -> np.ndarray:
+            """Return the unserved nodes of a cut of all trees: (T,) bool."""
+            if number < len(old_cuts):
+                return np.unpackbits(old_cuts[number], count=len(self._merged_rows)).view(bool)
+            return np.unpackbits(new_cuts[number - len(old_cuts)], count=nodes).view(bool)[
+                self._merged_rows]
+
         # Convert the multipliers of the cuts to those of the nodes. Cuts that were added in the
         # last round have no multipliers yet.
         active = np.flatnonzero(solution.multipliers > ZERO_TOLERANCE)
-        multipliers = np.zeros(len(trees.weights))
+        multipliers = np.zeros(len(self.trees.weights))
         slack = 0.0
-        for k in active:
-            number, part = program.cuts[k]
-            first, last = trees.part_starts[part], trees.part_starts[part + 1]
-            multipliers[first:last] += solution.multipliers[k] * cut_nodes[number][first:last]
-            slack -= solution.multipliers[k] * trees.slacks[part]
-        multipliers *= trees.weights
-        # Keep the choices of active cuts, each once.
-        self._cut_nodes = [cut_nodes[number]
-                           for number in dict.fromkeys(program.cuts[active, 0].tolist())]
-        self._shares = solution.shares
+        self._cut_nodes = []
+        for number in np.unique(program.cuts[active, 0]):
+            unserved = nodes_of(number)
+            # Keep the choices of active cuts, each once.
+            self._cut_nodes.append(np.packbits(unserved))
+            for k in active[program.cuts[active, 0] == number]:
+                part = program.cuts[k, 1]
+                first, last = self.trees.part_starts[part:part + 2]
+                multipliers[first:last] += solution.multipliers[k] * unserved[first:last]
+                slack -= solution.multipliers[k] * trees.slacks[part]
+        multipliers *= self.trees.weights
+        self._shares, self._relaxed_loss = solution.shares, loss
         return float(optimum), multipliers, float(multipliers.sum() + slack)
 
     def _pose_gains(self, multipliers: np.ndarray, places: Sequence[np.ndarray],
@@ -416,8 +453,9 @@ class ColumnGeneration:
                 shares = np.zeros(len(self._columns))
                 shares[others] = 1.0
                 # The cuts at the other poses give the exact loss after adding any one column.
-                constants, gains = self.trees.loss_cuts(
-                    self._seen_by, len(shares), self.trees.unserved_nodes(self._seen_by, shares))
+                unserved = self._merged.unserved_nodes(self._seen_by, shares)
+                constants, gains = self._merged.loss_cuts(
+                    self._seen_by, len(shares), self._merged.weights * unserved)
                 losses = np.maximum(constants[:, None] - gains, 0.0).sum(axis=0)
                 # The new column is one of the same grid, far enough from the others.
                 feasible = allowed & (self._grid_numbers == self._grid_numbers[old])

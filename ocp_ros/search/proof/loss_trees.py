@@ -114,6 +114,26 @@ class LossTrees(NamedTuple):
         seen_by = seen.astype(np.uint64)[:, None]
         return trees._replace(weights=trees.weights * trees.unserved_nodes(seen_by, np.ones(1)))
 
+    def merged(self, seen_by: np.ndarray) -> tuple['LossTrees', np.ndarray]:
+        """
+        Merge each node into its parent if the same given poses serve both.
+
+        The loss of every choice of these poses stays the same, with fewer nodes.
+
+        :param seen_by: (N, W) uint64, bits of the poses that see each point.
+        :returns: the merged trees, and for each node the number of its merged node: (T,) int32.
+        """
+        kept, rows = _merge_nodes(self.points, self.ends, seen_by, self.depth)
+        count = len(kept)
+        # The kept nodes before each node; the last number is for ends behind all nodes.
+        ends = np.append(self.ends[kept], self.part_starts).astype(np.uint32)
+        starts = np.searchsorted(kept, ends)
+        parents, depth = _parents_and_depth(starts[:count].astype(np.uint32))
+        return self._replace(
+            points=self.points[kept], ends=starts[:count].astype(np.uint32), parents=parents,
+            weights=np.bincount(rows, self.weights, count), depth=depth,
+            part_starts=starts[count:]), rows
+
     def unserved_nodes(self, seen_by: np.ndarray, shares: np.ndarray) -> np.ndarray:
         """
         Return the nodes for which the shares of the poses that serve them sum to less than 1.
@@ -134,7 +154,7 @@ class LossTrees(NamedTuple):
         mapped(mark_part, range(len(self.slacks)))
         return unserved
 
-    def loss_cuts(self, seen_by: np.ndarray, count: int, unserved: np.ndarray
+    def loss_cuts(self, seen_by: np.ndarray, count: int, weights: np.ndarray
                   ) -> tuple[np.ndarray, np.ndarray]:
         """
         Linearise the loss of each part at a choice of poses.
@@ -144,10 +164,10 @@ class LossTrees(NamedTuple):
 
         :param seen_by: (N, W) uint64, bits of the poses that see each point.
         :param count: n, number of poses.
-        :param unserved: (T,) bool, the :meth:`unserved_nodes` of the choice.
+        :param weights: (T,) the weights of the :meth:`unserved_nodes` of the choice, and 0 for
+            the other nodes; any values from 0 to the weights give a valid cut.
         :returns: constants (B,) and gains (B, n).
         """
-        weights = np.where(unserved, self.weights, 0.0)
         sums = _subtree_sums(self.parents, weights)
         gains = np.zeros((len(self.slacks), 64 * seen_by.shape[1]))
 
@@ -164,7 +184,8 @@ class LossTrees(NamedTuple):
         positive = sums > 0.0
         # Nodes without gain are left out. These are the new numbers of the old nodes; the last one
         # is for ends behind all nodes.
-        numbers = np.append(0, np.cumsum(positive)).astype(np.uint32)
+        numbers = np.zeros(len(positive) + 1, dtype=np.uint32)
+        np.cumsum(positive, dtype=np.uint32, out=numbers[1:])
         return GainTrees(self.points[positive], numbers[self.ends[positive]], sums[positive],
                          self.depth)
 
@@ -234,6 +255,40 @@ def _parents_and_depth(ends):
         depth += 1
         max_depth = max(max_depth, depth)
     return parents, max_depth
+
+
+@njit(cache=True, nogil=True)
+def _merge_nodes(points, ends, seen_by, max_depth):
+    """
+    Find the nodes of merged trees: the roots, and nodes that more poses serve than their parent.
+
+    :returns: (S,) uint32, these nodes, and for each node the index of its merged node among them:
+        (T,) int32.
+    """
+    words = seen_by.shape[1]
+    kept = np.empty(points.shape[0], dtype=np.uint32)
+    rows = np.empty(points.shape[0], dtype=np.int32)
+    # For the merged node at depth d of the path: its end and its row in entry d, and the poses
+    # that serve it in entry d + 1. Entry 0 has no poses.
+    path_ends = np.empty(max_depth + 1, dtype=np.int64)
+    path_rows = np.empty(max_depth + 1, dtype=np.int32)
+    path_poses = np.zeros((max_depth + 1, words), dtype=np.uint64)
+    count = depth = 0
+    for node in range(points.shape[0]):
+        while depth and path_ends[depth - 1] <= node:
+            depth -= 1
+        new = depth == 0
+        for word in range(words):
+            path_poses[depth + 1, word] = (path_poses[depth, word]
+                                           | seen_by[points[node], word])
+            new |= path_poses[depth + 1, word] != path_poses[depth, word]
+        if new:
+            kept[count] = node
+            path_ends[depth], path_rows[depth] = ends[node], count
+            depth += 1
+            count += 1
+        rows[node] = path_rows[depth - 1]
+    return kept[:count].copy(), rows
 
 
 @njit(nogil=True, inline='always')
