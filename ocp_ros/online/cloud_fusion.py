@@ -88,7 +88,10 @@ class FusedCloud:
         # With ``np.float64`` NumPy divides in float64; in float32, points near the sides of voxels
         # would be rounded.
         numbers = cell_numbers(np.floor(points / np.float64(self.edge)).astype(np.int64))
-        _, first_indices = np.unique(numbers, return_index=True)
+        # Neighbours in a depth image often share a voxel. They are left out first, since sorting
+        # takes longest.
+        run_starts = np.flatnonzero(np.diff(numbers, prepend=numbers[:1] - 1))
+        _, first_runs = np.unique(numbers[run_starts], return_index=True)
         # Back from the order of the voxel numbers to that of the points.
-        first_indices.sort()
+        first_indices = np.sort(run_starts[first_runs])
         return points[first_indices], numbers[first_indices]

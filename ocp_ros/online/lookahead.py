@@ -74,6 +74,7 @@ class LookaheadTuning:
     :ivar parts: parts of each run of annealing among candidates in an episode at once.
     :ivar proposals: proposals of a turn of refinement.
     :ivar pipelined_proposals: the same, in a pipelined episode.
+    :ivar most_proposals: the same, in an episode at once, if there is time.
     :ivar model_turn_proposals: the same, in a turn that also creates a model.
     :ivar parallel_proposals: proposals whose views are computed in parallel, as a group.
     :ivar groups_per_camera: consecutive groups for one camera; the views of the others are merged
@@ -96,6 +97,7 @@ class LookaheadTuning:
     parts: int = 10
     proposals: int = 240
     pipelined_proposals: int = 112
+    most_proposals: int = 720
     model_turn_proposals: int = 16
     parallel_proposals: int = 4
     groups_per_camera: int = 4
@@ -228,7 +230,9 @@ class Lookahead(PipelinedPlanner):
                 and not self._kept_model.lasts(cloud, positions)):
             self._create_refining_model(cloud, positions, turn)
         proposals = TUNING.pipelined_proposals if self._is_paced(turns) else TUNING.proposals
-        if self._model_turn == turn and not self.at_once:
+        if self.at_once:
+            proposals = TUNING.most_proposals
+        elif self._model_turn == turn:
             proposals = TUNING.model_turn_proposals
         # The survey has created the first model.
         model, self._space = self._kept_model.made
@@ -282,6 +286,8 @@ class Lookahead(PipelinedPlanner):
         yield model.depth_error
         best = self.places.best(model, self.rig_state, positions,
                                 reach=(turns - turn) * self.max_step)
+        if self.at_once:
+            yield
         self._choose_plan(model, space, self.memory.unseen(model), 0.0,
                           [*self._current_plans(len(positions)), best], len(positions))
         yield

@@ -323,6 +323,27 @@ def test_rotations_are_averaged(clock):
     np.testing.assert_allclose(rotations[1], rotation_matrix(0.5, 0.2, 0.0), atol=1e-3)
 
 
+def test_noisy_poses_that_end_are_averaged_and_those_of_a_move_are_not(clock):
+    rng, turns = np.random.default_rng(0), make(clock, topics='a')
+    for tick in range(40):
+        clock.now += 0.04
+        turns.on_poses(10 * S + tick * S // 25, HERE + rng.normal(0.0, 0.01, HERE.shape), [
+            rotation_matrix(*rng.normal(0.0, 0.0175, 3)) for _ in HERE])
+    assert not turns.cameras_stand
+    clock.now += QUIET_S
+    assert not delivered(turns, 11, 'before the last pose', 'a') and turns.cameras_stand
+    positions, rotations = turns.mean_poses
+    assert np.abs(positions - HERE).max() < 0.006
+    assert np.abs(rotations[0] - np.eye(3)).max() < 0.01
+    # The same poses, as a camera comes that says where it is while it moves.
+    moving = make(clock, topics='a')
+    for tick in range(40):
+        moving.on_poses(20 * S + tick * S // 25, HERE + 0.03 * (tick - 39), [np.eye(3)] * 2)
+    clock.now += QUIET_S
+    assert not delivered(moving, 21, 'before the last pose', 'a') and moving.cameras_stand
+    np.testing.assert_allclose(moving.mean_poses[0], HERE)
+
+
 def test_a_clock_of_poses_that_leads_does_so_by_the_same_seconds_until_it_is_set(clock):
     turns = make(clock)
     for _ in range(60):

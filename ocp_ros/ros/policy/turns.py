@@ -41,6 +41,8 @@ T = TypeVar('T')
 MAX_LEAD_NS = 1_000_000_000
 #: Nanoseconds for which poses have to stay within the limits of a standing camera.
 STEADY_NS = 200_000_000
+#: Poses that have stayed within the limits of arrival for this long are noisy, nanoseconds.
+NOISY_NS = 1_000_000_000
 #: Seconds without new poses after which the cameras count as standing too.
 QUIET_S = 0.5
 #: Seconds for which the status reports that stamps went back.
@@ -403,13 +405,33 @@ class Turns(Generic[T]):
         if self.standing_begin is not None or self._arrival_time is None:
             return
         now = self._clock()
-        if self._reference and (self._pose_stamp - self._reference.stamp >= STEADY_NS
-                                or now - self._pose_time >= QUIET_S):
+        is_steady = bool(self._reference) and (
+            self._pose_stamp - self._reference.stamp >= STEADY_NS)
+        if self._reference and (is_steady or now - self._pose_time >= QUIET_S):
             self.standing_begin = Moment(self._reference.stamp, now)
-            self._mean_begin_ns = self._reference.stamp
+            self._mean_begin_ns = self._reference.stamp if is_steady else self._noise_begin()
         elif now - self._arrival_time >= self.limits.cloud_timeout:
             # The measured poses never become still: end the wait.
             self.standing_begin = Moment(self._pose_stamp, now)
+
+    def _noise_begin(self) -> int:
+        """
+        Return the stamp since which the measured poses differ by noise only, nanoseconds.
+
+        If poses end before any were still, they are noisy, or the cameras moved until then. They
+        are noisy if they have stayed within the limits of arrival for a second.
+        """
+        begin, limits, newest = self._reference.stamp, self.limits, self._recent_poses[-1]
+        for poses in reversed(self._recent_poses):
+            if len(poses.positions) != len(newest.positions) or (
+                    np.linalg.norm(poses.positions - newest.positions, axis=1).max()
+                    > limits.arrival_distance) or any(
+                    angle_between(one, other) > limits.arrival_angle
+                    for one, other in zip(poses.rotations, newest.rotations)):
+                break
+            if newest.stamp - poses.stamp >= NOISY_NS:
+                begin = min(begin, poses.stamp)
+        return begin
 
     def silent_topics(self) -> dict[str, str]:
         """Return the topics whose wait ended without a cloud, with a reason for each."""
