@@ -54,6 +54,8 @@ MIN_MUTUAL_SHARE = 0.04
 WHOLE_BLOCK_POINTS = 8
 #: The standard deviation of a distance that a person has measured, metres.
 DISTANCE_DEVIATION_M = 0.005
+#: The pose of a camera in its own body frame.
+HERE = Pose(np.zeros(3), np.eye(3))
 #: The name of the scan among what holds a camera.
 SCAN = 'scan'
 

@@ -40,6 +40,7 @@ from ocp_ros.registration.camera_registration import agreement, FINEST_STAGE, sa
 from ocp_ros.registration.joint_alignment import (
     all_constraints,
     certainties,
+    HERE,
     joint_poses,
     RigCamera,
 )
@@ -59,7 +60,6 @@ REFERENCES = 'references.npz'
 PREFIX = 'camera_'
 #: The largest number of points of a reference.
 MAX_POINTS = 60_000
-HERE = Pose(np.zeros(3), np.eye(3))
 
 
 class Movement(NamedTuple):

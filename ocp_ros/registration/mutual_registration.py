@@ -37,6 +37,7 @@ from ocp_ros.registration.joint_alignment import (
     all_constraints,
     certainties,
     distances_between,
+    HERE,
     joint_poses,
     overlapping_pairs,
     relative_pose,
@@ -345,7 +346,6 @@ def register_mutually(views: Mapping[str, LiveView],
     return found, reasons
 
 
-HERE = Pose(np.zeros(3), np.eye(3))
 _Links = Mapping[tuple[str, str], list[tuple[float, Pose]]]
 
 

@@ -18,9 +18,9 @@
 from pathlib import Path
 
 from benchmarks.calibration_bench import cast, off
-from conftest import printed, refused
+from conftest import printed, refused, ROOT
 import numpy as np
-from ocp_ros.geometry.cameras import heading_of, OPTICAL_TO_BODY, Pose
+from ocp_ros.geometry.cameras import heading_of, OPTICAL_TO_BODY, Pose, TO_BODY
 from ocp_ros.registration.alignment import AlignmentStage, Patches
 from ocp_ros.registration.calibration import model_of_cloud
 from ocp_ros.registration.joint_alignment import (
@@ -28,21 +28,24 @@ from ocp_ros.registration.joint_alignment import (
     all_constraints,
     certainties,
     Distance,
+    HERE,
     joint_poses,
     relative_pose,
     RigCamera,
 )
 from ocp_ros.registration.live_view import LiveView
 from ocp_ros.registration.movement import Movement, movement_since, way_back
-from ocp_ros.registration.mutual_registration import HERE, LevelView, register_mutually
+from ocp_ros.registration.mutual_registration import LevelView, register_mutually
 from ocp_ros.registration.steady_cloud import steady_cloud
 from ocp_ros.rig.placement_file import load_placement
 from ocp_ros.rig.sensors import SENSORS
 from ocp_ros.rooms.generator import mesh_of, plan_of
 from ocp_ros.scenes.meshes import MeshRays
-from ocp_ros.scenes.scene_files import load_scene
+from ocp_ros.scenes.scene_files import load_cloud, load_scene
 import pytest
 
+#: A frame of an office.
+REAL = ROOT.parent / 'shared' / 'data' / 'clouds' / 'primesense_office1.pcd'
 SEED, SENSOR = 532, 'realsense_d455'
 MODEL = SENSORS[SENSOR].model
 SIZE = plan_of(SEED).size
@@ -180,3 +183,17 @@ def test_a_model_without_a_sensor_contains_what_was_seen(clouds):
     model = model_of_cloud(clouds['cam_0'])
     assert np.rad2deg(model.horizontal_fov) == pytest.approx(87.0, abs=8.0)
     assert len(LiveView(clouds['cam_0'], model).points) > 0.98 * len(clouds['cam_0'])
+
+
+@pytest.mark.skipif(not REAL.is_file(), reason='needs the real clouds')
+def test_the_floor_and_a_movement_are_found_in_a_real_frame():
+    cloud = load_cloud(REAL) @ TO_BODY['opengl'].T
+    model, rng = model_of_cloud(cloud), np.random.default_rng(0)
+    view = LiveView(cloud, model)
+    level = LevelView.of(view)
+    assert 1.2 < level.pose.position[2] < 1.5 and abs(heading_of(level.pose.rotation)[1]) < 0.1
+    for metres in (0.0, 0.02):
+        moved = (cloud - [0.0, metres, 0.0]) * (1.0 + rng.normal(0.0, 0.003, (len(cloud), 1)))
+        found = movement_since(view, LiveView(moved[rng.random(len(moved)) < 0.6], model))
+        assert found.has_moved == (metres > 0.0)
+        assert found.pose.position[1] == pytest.approx(metres, abs=0.003)
