@@ -58,7 +58,9 @@ TABLES = [
      'plan_over_truth expected_mean promise_coverage certificate_gap'),
     (MODELS, '| repairs', 'literal_60000_0 critics_60000_0 updates_60000_0 blocks_60000_0 '
      'augmented_60000_0 augmented_300000_0 wide_300000_0', 'ladder/rows/{row}/{key}',
-     'interactions ratio least_ratio')]
+     'interactions ratio least_ratio'),
+    (ROBUSTNESS, '| class |', 'E57 glTF OBJ PLY YAML text weights bag cloud',
+     'hostile_files/classes/{row}/{key}', 'read refused')]
 #: Numbers in sentences: page, words around them, and where they are.
 SENTENCES = [
     (README, 'Their depth error is {} times that of the same cameras moved without a scan '
@@ -111,8 +113,8 @@ SENTENCES = [
     (MODELS, 'those after {} of the 300,000 interactions', 'agent/model/{key}', 'interactions'),
     (MODELS, 'augmented samples has {} after {} interactions',
      'ladder/rows/augmented_180000_1/{key}', 'ratio interactions'),
-    (ROBUSTNESS, '{} malformed messages among {} valid', 'drills/fuzz/value/{key}',
-     'malformed_messages valid_messages'),
+    (ROBUSTNESS, '{} malformed messages among {} valid', 'drills/fuzz/{key}',
+     'messages good_messages_answered'),
     (ROBUSTNESS, '{} turns, {} nodes killed, {} malformed messages', 'drills/soak/value/{key}',
      'turns kills malformed_messages'),
     (ROBUSTNESS, '{} s (median), {} s at most; memory grew by {} MB', 'drills/soak/value/{key}',
@@ -171,6 +173,12 @@ def test_the_hostile_files_are_those_of_the_page():
     text = (ROOT / SECURITY).read_text()
     assert f'Of {read + rejected} files, {read} were read and {rejected} rejected' in text
     assert not any(kind[key] for kind in found for key in ('wrong', 'crashed', 'hung', 'leaked'))
+
+
+def test_the_robustness_page_shows_the_dates_of_the_drills():
+    rows = (ROOT / ROBUSTNESS).read_text().split('\n| drill |', 1)[1].splitlines()
+    for name, part in content('drills').items():
+        assert any(f'`{name}`' in row and f'| {part["date"]} |' in row for row in rows), name
 
 
 def test_the_readme_shows_few_numbers():
