@@ -51,7 +51,7 @@ ROOMS, RIGS = range(1, 4), tuple(
     for count, sensor, mount in ((2, 'omnidirectional', 'plane'), (4, 'realsense_d455', 'walls'),
                                  (3, 'kinect_v2', 'free')))
 #: Seconds after which an answer of the page that has not come never comes.
-PATIENCE = 120.0
+PATIENCE = 600.0
 
 
 def sessions(count: int) -> Iterator[None]:
