@@ -20,6 +20,9 @@ at the mesh in place of the engine's visibility, on fewer points. A hill climb f
 tells what the proof has left. The figures join docs/results/measure.json as ``plans``.
 
     python -m benchmarks.plans --record
+
+With ``--crowds`` it measures many cameras with few evaluations instead, which join the file as
+``crowds``.
 """
 
 import argparse
@@ -36,6 +39,7 @@ import numpy as np
 from ocp_ros.geometry.engine_config import PROMISING
 from ocp_ros.report.findings import expected
 from ocp_ros.rig.motion import mounted
+from ocp_ros.rig.rig_file import rig_of
 from ocp_ros.rooms.generator import generate_room
 from ocp_ros.rooms.room_sets import SETS
 from ocp_ros.scenes.scene import Scene
@@ -54,6 +58,9 @@ from ocp_ros.util.settings import UserError
 RIGS = ('d455_walls', 'd455_stands', 'all_round_stands')
 #: Evaluations of a plan, and points of the scan that is searched with the truth.
 EVALUATIONS, TRUE_POINTS = 2000, 15_000
+#: Many cameras on the ceiling, few evaluations, the planners that are compared, and points.
+CROWDS, BUDGETS, CROWD_PLANNERS, CROWD_POINTS = (
+    (10, 16, 32), (50, 200, 500), ('rig_search', 'greedy_error', 'random'), 15_000)
 #: Evaluations of a hill climb, its first and last step in metres, and radians for each metre.
 CLIMBED, FAR, NEAR, TURN = 5000, 0.1, 0.005, 0.5
 #: Evaluations of a plan in half a scan, random halves of a scan, and scans that are none.
@@ -99,6 +106,42 @@ def judged(seed: int, rig_name: str, known: dict | None) -> dict:
             'delivered': judge.delivered(np.array(found['poses'])),
             'online_delivered': judge.delivered(np.array(found['online'])),
             'truth_delivered': judge.delivered(truth.answer.poses)}
+
+
+def crowded(seed: int, cameras: int, evaluations: int) -> dict:
+    """Plan many cameras with few evaluations by several planners, and judge their answers."""
+    room = generate_room(seed, CROWD_POINTS)
+    rig = rig_of(cameras, 'realsense_d455', mount={'on': 'ceiling'})
+    judge, row = Judge(room, rig), {'room': seed, 'cameras': cameras, 'evaluations': evaluations}
+    for name in CROWD_PLANNERS:
+        began = time.process_time()
+        plan = RigPlanner(Scene(room.points, room.name), rig, PROMISING,
+                          Budget(evaluations=evaluations), planner=name).plan(rig)
+        row |= {name: judge.delivered(plan.answer.poses),
+                f'{name}_seconds': time.process_time() - began}
+        if name == 'rig_search':
+            row |= {'certified': plan.certificate is not None,
+                    'promised': plan.validated.placement, 'worst': plan.validated.nothing}
+    return row
+
+
+def crowds_of(rows: list[dict]) -> list[dict]:
+    """Sum up the rows with equal numbers of cameras and evaluations: ratios of errors."""
+    found = []
+    for cameras, evaluations in product(CROWDS, BUDGETS):
+        some = [row for row in rows
+                if (row['cameras'], row['evaluations']) == (cameras, evaluations)]
+        found.append({
+            'cameras': cameras, 'evaluations': evaluations, 'rooms': len(some),
+            'share_of_nothing': round(float(np.mean(
+                [row['rig_search'] / row['worst'] for row in some])), 4),
+            # Ratios of sums, because some errors are nearly 0.
+            **{f'plan_over_{name}': round(sum(row['rig_search'] for row in some)
+                                          / sum(row[name] for row in some), 3)
+               for name in CROWD_PLANNERS[1:]},
+            'certified': round(float(np.mean([row['certified'] for row in some])), 2),
+            'seconds': round(float(np.mean([row['rig_search_seconds'] for row in some])), 1)})
+    return found
 
 
 def halved(scene: Scene, rig_name: str, seed: int) -> dict:
@@ -171,27 +214,38 @@ def main(argv: list[str] | None = None) -> None:
     parser.add_argument('--out', type=Path, default=Path('out/plans.jsonl'),
                         help='rows that were found, with which it goes on')
     results.add_record(parser, 'measure')
+    parser.add_argument('--crowds', action='store_true', help='measure many cameras instead')
     parser.add_argument('--scans', type=Path, help='folder of real scans, for the interval')
     options = parser.parse_args(argv)
     options.out.parent.mkdir(parents=True, exist_ok=True)
     lines = options.out.read_text().splitlines() if options.out.exists() else []
-    known = {(row['room'], row['rig']): row for row in map(json.loads, lines)}
-    wanted = list(product(list(SETS[options.set])[:options.rooms], RIGS))
-    rows = [known[task] for task in wanted if 'delivered' in known.get(task, ())]
-    left = [(*task, known.get(task)) for task in wanted if 'delivered' not in known.get(task, ())]
+    keys, job = (('room', 'cameras', 'evaluations'), crowded) if options.crowds else (
+        ('room', 'rig'), judged)
+    known = {tuple(row[key] for key in keys): row for row in map(json.loads, lines)}
+    rooms = list(SETS[options.set])[:options.rooms]
+    wanted = list(product(rooms, CROWDS, BUDGETS) if options.crowds else product(rooms, RIGS))
+    done = 'rig_search' if options.crowds else 'delivered'
+    rows = [known[task] for task in wanted if done in known.get(task, ())]
+    left = [task for task in wanted if done not in known.get(task, ())]
+    if not options.crowds:
+        left = [(*task, known.get(task)) for task in left]
     with ProcessPoolExecutor(options.workers) as pool, options.out.open('a') as file:
-        for row in pool.map(judged, *zip(*left)) if left else ():
+        for row in pool.map(job, *zip(*left)) if left else ():
             rows.append(row)
             print(json.dumps(row), file=file, flush=True)
+    if options.crowds:
+        crowds = {'rooms': len(rooms), 'points': CROWD_POINTS, 'rows': crowds_of(rows)}
+        print(json.dumps(crowds, indent=1))
+        if options.record:
+            results.write('measure', crowds, results.command_of('plans', argv), part='crowds')
+        return
     found = summary_of(rows)
     if options.scans:
         found['scans'] = scans_of(options.scans)
     print(json.dumps(found, indent=1))
     if options.record:
-        path, command = results.FOLDER / 'measure.json', results.command_of('plans', argv)
-        whole = json.loads(path.read_text()) | {
-            'plans': results.stamped(found, command.replace(str(options.scans), 'FOLDER'))}
-        results.write('measure', whole, whole['command'])
+        command = results.command_of('plans', argv).replace(str(options.scans), 'FOLDER')
+        results.write('measure', found, command, part='plans')
 
 
 if __name__ == '__main__':

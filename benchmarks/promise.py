@@ -50,8 +50,8 @@ RIGS = {'d455_walls': ('realsense_d455', {'on': 'walls'}),
         'd455_stands': ('realsense_d455', {'on': 'plane', 'height': 1.6}),
         'all_round_stands': ('omnidirectional', {'on': 'plane', 'height': 1.6}),
         'all_round_ceiling': ('omnidirectional', {'on': 'ceiling'})}
-#: Points of dense and thin scans, and metres of a missing surface's layer.
-DENSE, THIN, LAYER = 60_000, 15_000, 0.15
+#: Points of dense, thin and sparse scans, and metres of a missing surface's layer.
+DENSE, THIN, SPARSE, LAYER = 60_000, 15_000, 3_000, 0.15
 #: Where levels of what is promised begin, as shares of the error of seeing nothing.
 LEVELS = (0.0, 0.08, 0.2)
 #: Share of the error of seeing nothing that is added to both: ratios of small errors say little.
@@ -76,6 +76,8 @@ class Case(NamedTuple):
 
 CASES = (*(Case(rig) for rig in RIGS), Case('d455_walls', THIN), Case('all_round_stands', THIN),
          Case('d455_walls', DENSE, 'ceiling'), Case('d455_walls', DENSE, 'floor'))
+#: Scans with a median pitch above :data:`~ocp_ros.report.findings.SPARSE_PITCH_M`.
+SPARSE_CASES = Case('d455_walls', SPARSE), Case('all_round_stands', SPARSE)
 
 
 def rig_named(name: str) -> Rig:
@@ -129,6 +131,13 @@ def quantiles(rows: list[dict]) -> list[float]:
     return [round(float(value), 3) for value in found]
 
 
+def missed_of(rows: list[dict]) -> dict:
+    """Return the ratios of scans that do not show everything, and those without the offset."""
+    times = [row['delivered'] / row['promised'] for row in rows]
+    return {'plans': len(rows), 'ratios': quantiles(rows),
+            'times': [round(min(times), 2), round(max(times), 2)]}
+
+
 def table_of(rows: list[dict]) -> dict:
     """Return the ratios by level, and for each missing surface."""
     whole = [row for row in rows if not row['missing']]
@@ -140,17 +149,14 @@ def table_of(rows: list[dict]) -> dict:
         {'from': least, 'plans': len(some), 'ratios': quantiles(some)}
         for least, some in zip(LEVELS, by_level)]}
     for surface in ('ceiling', 'floor'):
-        some = [row for row in rows if row['missing'] == surface]
-        times = [row['delivered'] / row['promised'] for row in some]
-        found[surface] = {'plans': len(some), 'ratios': quantiles(some),
-                          'times': [round(min(times), 2), round(max(times), 2)]}
+        found[surface] = missed_of([row for row in rows if row['missing'] == surface])
     return found
 
 
-def tasks(seeds: list[int]) -> Iterator[tuple[int, Case]]:
+def tasks(seeds: list[int], cases: tuple[Case, ...]) -> Iterator[tuple[int, Case]]:
     """Yield rooms and what is planned in them."""
     for seed in seeds:
-        for case in CASES:
+        for case in cases:
             yield seed, case
 
 
@@ -161,6 +167,8 @@ def main(argv: list[str] | None = None) -> None:
     parser.add_argument('--workers', type=int, default=2, help='processes')
     parser.add_argument('--out', type=Path, default=Path('out/promise.jsonl'),
                         help='rows that were found, with which it goes on')
+    parser.add_argument('--sparse', action='store_true',
+                        help='measure sparse scans alone, whose ratios join the table')
     parser.add_argument('--record', action='store_true', help=f'write {TABLE.name}')
     options = parser.parse_args(argv)
     options.out.parent.mkdir(parents=True, exist_ok=True)
@@ -168,18 +176,22 @@ def main(argv: list[str] | None = None) -> None:
             ] if options.out.exists() else []
     known = {(row['room'], row['rig'], row['points'], row['missing']): row for row in rows}
     left = [(seed, case, known.get((seed, *case))) for seed, case in tasks(
-        list(SETS['validation'])[:2 * options.rooms:2])]
+        list(SETS['validation'])[:2 * options.rooms:2],
+        SPARSE_CASES if options.sparse else CASES)]
     rows = [row for _, _, row in left if row and 'delivered' in row]
     left = [task for task in left if task[2] is None or 'delivered' not in task[2]]
     with ProcessPoolExecutor(options.workers) as pool, options.out.open('a') as file:
         for row in pool.map(row_of, *zip(*left)) if left else ():
             rows.append(row)
             print(json.dumps(row), file=file, flush=True)
-    found = table_of(rows)
+    found = missed_of(rows) if options.sparse else table_of(rows)
     print(json.dumps(found, indent=1))
     if options.record:
+        before = json.loads(TABLE.read_text())
+        found = results.stamped(found, results.command_of('promise', argv))
         write_atomically(TABLE, json.dumps(
-            results.stamped(found, results.command_of('promise', argv)), indent=1) + '\n')
+            before | {'sparse': found} if options.sparse else found | {
+                'sparse': before['sparse']}, indent=1) + '\n')
 
 
 if __name__ == '__main__':

@@ -34,6 +34,7 @@ from ocp_ros.geometry.packed_bits import Subset
 from ocp_ros.rig.connections import bandwidth_notes, light_of
 from ocp_ros.rig.feasible_region import FeasibleRegion, satisfies_spacing
 from ocp_ros.rig.plausibility import angle_notes, missing_surfaces, room_notes
+from ocp_ros.scenes.scene import Scene
 from ocp_ros.simulation.interference import MAX_LIT_SHARE, time_slots
 from ocp_ros.simulation.objective import Objective, RigEvaluation
 from ocp_ros.simulation.problem import Problem
@@ -42,6 +43,8 @@ from ocp_ros.util.settings import ConfigurationError
 
 #: A smaller seen share of a room is written as 0 %.
 MIN_SEEN_SHARE = 0.005
+#: A scan is sparse if the median edge of the squares that its points stand for is longer, metres.
+SPARSE_PITCH_M = 0.15
 
 
 def evaluate_placement(problem: Problem, poses: np.ndarray) -> dict[str, Any]:
@@ -63,7 +66,7 @@ def evaluate_placement(problem: Problem, poses: np.ndarray) -> dict[str, Any]:
     fixed_angles = np.rad2deg(problem.fixed_poses[:, 3:]).ravel().tolist()
     return {'scores': scores, 'broken': broken_by(problem.region, poses, scores), **improvement,
             'expected': expected(scores['validation_error'], scores['depth_error_of_nothing'],
-                                 missing),
+                                 gaps_of(scene)),
             'notes': [*problem.region.fixed_notes(),
                       *angle_notes(fixed_angles, problem.rig.models), *room_notes(scene),
                       *missing_surface_notes(missing), *scene.notes,
@@ -323,6 +326,12 @@ def _ratio_table() -> dict[str, Any]:
     return json.loads(files(__package__).joinpath('promise.json').read_text())
 
 
+def gaps_of(scene: Scene) -> tuple[str, ...]:
+    """Return the names of what a scan lacks: surfaces, and ``sparse`` if it has few points."""
+    sparse = np.median(scene.pitch) > SPARSE_PITCH_M
+    return (*missing_surfaces(scene), *(('sparse',) if sparse else ()))
+
+
 def ratios_for(error: float, worst: float, missing: Sequence[str]) -> list[float]:
     """
     Return the low, the median and the high ratio of the error in the room to that on the scan.
@@ -332,15 +341,19 @@ def ratios_for(error: float, worst: float, missing: Sequence[str]) -> list[float
 
     :param error: depth error on the scan, metres.
     :param worst: depth error without any visible point, metres.
-    :param missing: names of surfaces without points in the scan.
+    :param missing: what the scan lacks, from :func:`gaps_of`.
     """
-    for surface in missing:
-        if surface in _ratio_table():
-            return _ratio_table()[surface]['ratios']
-    levels = _ratio_table()['levels']
+    table = _ratio_table()
     # A level begins where the error is the share ``from`` of the worst error.
-    number = np.searchsorted([level['from'] for level in levels], error / worst, side='right')
-    return levels[max(int(number) - 1, 0)]['ratios']
+    number = np.searchsorted([level['from'] for level in table['levels']], error / worst,
+                             side='right')
+    rows = [table[name]['ratios'] for name in missing if name in table and name != 'sparse']
+    low, median, high = (rows or [table['levels'][max(int(number) - 1, 0)]['ratios']])[0]
+    if 'sparse' not in missing:
+        return [low, median, high]
+    # Sparse scans add to the other doubts.
+    sparse = table['sparse']['ratios']
+    return [min(low, sparse[0]), max(median, sparse[1]), max(high, sparse[2])]
 
 
 def expected(error: float, worst: float, missing: Sequence[str] = ()) -> dict[str, float]:
@@ -349,8 +362,7 @@ def expected(error: float, worst: float, missing: Sequence[str] = ()) -> dict[st
 
     :param error: depth error on the scan, metres.
     :param worst: depth error without any visible point, metres.
-    :param missing: names of surfaces without points in the scan, from
-        :func:`~ocp_ros.rig.plausibility.missing_surfaces`.
+    :param missing: what the scan lacks, from :func:`gaps_of`.
     :returns: ``depth_error``, ``low`` and ``high``, metres; in nine of ten rooms the error was
         between ``low`` and ``high``.
     """

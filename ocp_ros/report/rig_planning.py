@@ -270,6 +270,8 @@ def certificate_data(proof: Certificate | None, reason: str = '') -> dict[str, A
         limit = f'all that it still misses, {100.0 * proof.found:.2g} % of the error of no cameras'
     else:
         limit = f'{gap_percent(proof.gap):.1f} %'
+    if proof.relaxed:
+        limit += f', even with {" and ".join(proof.relaxed)} relaxed'
     # The properties ``gap`` and ``moved`` are added, since ``asdict`` has the fields only.
     return {'sentence': f'No placement on {proof.candidates:,} candidate poses ({spacing} '
                         f'apart{near}) is better by more than {limit}{gain} (computed '

@@ -241,7 +241,9 @@ class CandidatePool:
     def best_addition(self, objective: Objective, sites: Sequence[MountedCamera],
                       rows: np.ndarray | None = None) -> MountedCamera | None:
         """
-        Choose the candidate for the next camera of a rig that minimises ``objective.promise``.
+        Choose the candidate for the next camera of a rig with the least eased loss.
+
+        See :meth:`~ocp_ros.simulation.objective.Objective.losses_with`.
 
         :param objective: of the rig.
         :param sites: of the cameras before it.
@@ -260,8 +262,8 @@ class CandidatePool:
             return None
         if len(rows) == 1:
             return self.mounted_candidate(model, rows[0])
-        promises = [objective.promise([*views, candidates.views[row]]) for row in rows]
-        return self.mounted_candidate(model, rows[int(np.argmin(promises))])
+        losses = objective.losses_with(views, [candidates.views[row] for row in rows], eased=True)
+        return self.mounted_candidate(model, rows[int(np.argmin(losses))])
 
     def random_site(self, rig: Rig, sites: Sequence[MountedCamera], rng: np.random.Generator
                     ) -> MountedCamera | None:

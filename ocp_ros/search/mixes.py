@@ -105,9 +105,9 @@ def mixes_of(objective: Objective, pool: CandidatePool, max_cameras: int, max_pr
             sites = [site for part in fewer for site in part]
             rows = rng.choice(len(candidates.poses), min(COMPARED, len(candidates.poses)), False)
             rows = rows[are_spaced(candidates.poses[rows], sites, rig.spacing)]
-            views = views_of(sites)
-            for row in rows:
-                loss = coarse.promise([*views, candidates.views[row]])
+            losses = coarse.losses_with(
+                views_of(sites), [candidates.views[row] for row in rows], eased=True)
+            for row, loss in zip(rows, losses):
                 if best is None or loss < best[0]:
                     added = (*fewer[group], pool.mounted_candidate(model, row))
                     best = loss, (*fewer[:group], added, *fewer[group + 1:])

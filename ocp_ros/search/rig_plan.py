@@ -26,7 +26,7 @@ from ocp_ros.search.budget import Budget, Progress
 from ocp_ros.search.candidate_pool import check_regions, pool_of, Sites, views_of
 from ocp_ros.search.plan import load_kernels, plan
 from ocp_ros.search.pose_annealing import SearchResult
-from ocp_ros.search.proof.certificate import Certificate, unprovable_reason
+from ocp_ros.search.proof.certificate import Certificate
 from ocp_ros.search.registry import check_planner, OBSERVED, PLANNERS, RIG_SEARCH
 from ocp_ros.search.rig_search import GrowingProof, prove_gap
 from ocp_ros.simulation.objective import RigEvaluation
@@ -203,8 +203,6 @@ class RigPlanner:
         problem = self.problem(plan.rig)
         if plan.certificate is not None or plan.uncertain:
             return plan
-        if (reason := unprovable_reason(problem.objective)) is not None:
-            return replace(plan, uncertain=reason)
 
         def make_proof() -> GrowingProof:
             return GrowingProof(problem, self.pool, budget, 0.5)

@@ -19,22 +19,36 @@ Column generation over a dense grid of poses gives a lower bound and several goo
 Simulated annealing with small moves refines each choice off the grid. Poses near the best results
 then join the grid, and both steps are repeated with decreasing distances. At the end, the gains of
 all poses are computed for the certificate.
+
+The relaxation counts some goals only in part (see :mod:`ocp_ros.search.proof.loss_trees`). For
+these, its choices, a greedy placement and a random one are first improved by exchanges among the
+candidates, with the whole objective.
 """
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from itertools import cycle
 import logging
 from typing import NamedTuple
 
 import numpy as np
 from ocp_ros.rig.feasible_region import DENSE
 from ocp_ros.search.budget import Budget, Progress
-from ocp_ros.search.candidate_pool import CandidatePool, MountedCamera, Sites, views_of
-from ocp_ros.search.pose_annealing import anneal, move_camera, RigSearch, run_threads, SearchResult
+from ocp_ros.search.candidate_pool import (
+    are_spaced,
+    CandidatePool,
+    MountedCamera,
+    Sites,
+    views_of,
+)
+from ocp_ros.search.pose_annealing import move_camera, run_threads, SearchResult
+from ocp_ros.search.pose_decoder import coarse_objective
 from ocp_ros.search.pose_grid import PoseGrid
-from ocp_ros.search.proof.certificate import Certificate, unprovable_reason
+from ocp_ros.search.proof.certificate import Certificate, relaxed_goals
 from ocp_ros.search.proof.column_generation import Choice, Column, ColumnGeneration
 from ocp_ros.search.proof.loss_trees import LossTrees
+from ocp_ros.simulation.objective import Objective
 from ocp_ros.simulation.problem import Problem
 from ocp_ros.util.annealing import annealed, between
 from ocp_ros.util.threads import mapped
@@ -45,10 +59,13 @@ class RigSearchTuning:
     """
     Constants of the search; a *repetition* adds poses near the best results and refines again.
 
-    :ivar grid_time_share: share of the time at which the choice on the grid ends.
-    :ivar refined_time_share: share of the time at which the first refinement ends.
-    :ivar repeated_time_share: share of the time at which the repetitions end; the rest is for the
-        proof.
+    :ivar time_shares: shares of the time at which the choice on the grid, the first refinement and
+        its repetitions end; the rest is for the proof.
+    :ivar relaxed_time_shares: the same shares if the relaxation counts goals only in part.
+    :ivar exchanged_time_share: the share at which the exchanges end then.
+    :ivar exchanged_poses: number of candidates that an exchange of a camera compares: half of them
+        are the nearest ones, the others are drawn.
+    :ivar greedy_placements: number of greedy placements that are exchanged.
     :ivar min_evaluations: number of evaluations that are made whatever time they take.
     :ivar first_places: places of the first grid of a search with a limit of time; its bound is
         raised whatever time it takes.
@@ -72,9 +89,11 @@ class RigSearchTuning:
     :ivar min_loss: smallest loss that is used to compute temperatures.
     """
 
-    grid_time_share: float = 0.4
-    refined_time_share: float = 0.6
-    repeated_time_share: float = 0.8
+    time_shares: tuple[float, float, float] = (0.4, 0.6, 0.8)
+    relaxed_time_shares: tuple[float, float, float] = (0.15, 0.75, 0.92)
+    exchanged_time_share: float = 0.55
+    exchanged_poses: int = 400
+    greedy_placements: int = 3
     min_evaluations: int = 200
     first_places: int = 64
     grid_growth: int = 8
@@ -106,12 +125,11 @@ class RatedPlacement(NamedTuple):
     sites: Sites
 
 
-class ColumnGenerationSearch(RigSearch):
+class ColumnGenerationSearch:
     """
     One search by column generation and local refinement.
 
-    :param problem: the rig in the room, with ``seen_by`` 1 and without ``calibratable`` or regions
-        of air.
+    :param problem: the rig in the room.
     :param pool: candidates, with the grids of the rig's models.
     :param budget: with evaluations and without seconds, the result is reproducible.
     :param seed: random seed.
@@ -120,7 +138,17 @@ class ColumnGenerationSearch(RigSearch):
 
     def __init__(self, problem: Problem, pool: CandidatePool, budget: Budget, seed: int,
                  start: Sequence[MountedCamera] = ()) -> None:
-        super().__init__(problem, pool, budget, np.random.default_rng([seed, 0]), start)
+        self.problem = problem
+        self.objective = problem.objective.searched
+        self.pool = pool
+        self.budget = budget
+        self.rng = np.random.default_rng([seed, 0])
+        self.start = tuple(start)
+        self.evaluations = 0
+        self.least_loss = np.inf
+        #: Whether the relaxation counts goals of the rig only in part.
+        self._relaxed = bool(relaxed_goals(problem.rig))
+        self._time_shares = TUNING.relaxed_time_shares if self._relaxed else TUNING.time_shares
         #: Stage of the search: 0 is the grid, 1 refinement, 2 its repetitions, 3 the proof.
         self._stage = 0
         self._first_choices = TUNING.first_choices
@@ -135,6 +163,11 @@ class ColumnGenerationSearch(RigSearch):
             self._first_moves = max(total // (2 * self._first_choices), 1)
             repetitions = len(TUNING.distances_m)
             self._repeated_moves = max(total // (2 * repetitions * self._repeated_choices), 1)
+        elif self._relaxed:
+            # Fewer placements, each by as many moves for each camera as those of four cameras.
+            self._first_choices = TUNING.near_results
+            self._first_moves = self._repeated_moves = TUNING.moves * max(
+                len(problem.rig.cameras) // 4, 1)
 
     def run(self) -> SearchResult:
         """
@@ -146,46 +179,67 @@ class ColumnGenerationSearch(RigSearch):
         refined again; at last the bound is raised on all poses for the certificate.
         """
         # Choose on the grid.
-        grid_deadline = self.budget.deadline_check(TUNING.grid_time_share)
-        proof = GrowingProof(self.problem, self.pool, self.budget, TUNING.grid_time_share)
-        proof.raise_bound(TUNING.grid_time_share)
+        grid_share, _, repeated_share = self._time_shares
+        proof = GrowingProof(self.problem, self.pool, self.budget, grid_share)
+        proof.raise_bound(grid_share)
         relaxation = proof.relaxation
-        choices = relaxation.find_choices(self._first_choices, self.rng, grid_deadline)
+        choices = relaxation.find_choices(self._first_choices, self.rng,
+                                          self.budget.deadline_check(grid_share))
+        starts = [self._sites_of(relaxation, choice) for choice in choices]
         # Refine the choices off the grid.
         self._stage = 1
-        starts = [self._sites_of(relaxation, choice) for choice in choices]
+        if self._relaxed:
+            starts = self._exchanged([*self._placed(), *starts], self._first_choices)
         first_results = results = self._refine_all(
             [*starts, self.start] if self.start else starts, TUNING.distances_m[0],
             self._first_moves, self._refined_enough)
         # Repeat both with poses near the results.
         self._stage = 2
-        deadline = self.budget.deadline_check(TUNING.repeated_time_share)
-        for distance_m in TUNING.distances_m:
+        deadline = self.budget.deadline_check(repeated_share)
+        timed = self.max_evaluations is None
+        for distance_m in cycle(TUNING.distances_m) if self._relaxed and timed else (
+                TUNING.distances_m):
             if not results or deadline():
                 break
-            results = self._repeat_near(relaxation, results, distance_m, deadline)
+            results = (self._refine_again if self._relaxed else self._repeat_near)(
+                relaxation, results, distance_m, deadline)
         if not results:
             # No choice on the grid, and no given placement: the cameras are placed as close
             # together as the spacing allows.
             results = [self._rate_placement(self.pool.packed_sites(self.problem.rig))]
         self._stage, best = 3, results[0]
+        if self._relaxed:
+            self._add_near(relaxation, best, TUNING.distances_m[0])
+            # Without the margin of the search.
+            best = best._replace(loss=self.problem.objective.loss(views_of(best.sites)))
         # The losses of all searches, for the report: one for each refined choice, and two for a
         # given placement, refined and as given. ``first_results`` is sorted and the repetitions
         # start from its first results, so the final loss replaces the first one.
-        loss_on_grid = min((choice.loss for choice in choices), default=best.loss)
+        loss_on_grid = np.inf if self._relaxed else min(
+            (choice.loss for choice in choices), default=best.loss)
         losses = (best.loss, *(result.loss for result in first_results[1:]))
         return SearchResult(best.sites, best.loss, losses, self.evaluations, *prove_gap(
             lambda: proof, best.loss, loss_on_grid))
 
+    @property
+    def max_evaluations(self) -> int | None:
+        """Return the largest number of evaluations; None if the time alone counts."""
+        return self.budget.evaluations
+
+    def loss_of(self, sites: Sequence[MountedCamera]) -> float:
+        """Return the loss of a placement, and update the smallest loss."""
+        loss = self.objective.loss(views_of(sites))
+        self.least_loss = min(self.least_loss, loss)
+        return loss
+
     def used_share(self) -> float:
         """Return the used share of the time; without a limit of time, the share that is done."""
         if self.max_evaluations is None or self.budget.seconds is not None or self.budget.stopped:
-            return super().used_share()
+            return self.budget.used_share(self.evaluations, self.max_evaluations)
         # Half of the evaluations are for the first refinement, half for the repetitions.
         doubled_share = 2.0 * self.evaluations / self.max_evaluations
         stage_share = (self.pool.grid_share, doubled_share, doubled_share - 1.0, 0.0)[self._stage]
-        starts = (0.0, TUNING.grid_time_share, TUNING.refined_time_share,
-                  TUNING.repeated_time_share, 1.0)
+        starts = (0.0, *self._time_shares, 1.0)
         start, end = starts[self._stage:self._stage + 2]
         return start + (end - start) * float(np.clip(stage_share, 0.0, 1.0))
 
@@ -193,11 +247,11 @@ class ColumnGenerationSearch(RigSearch):
         """Return whether to end the first refinement; a busy machine does not end it at once."""
         return self.budget.stopped or (
             self.evaluations >= TUNING.min_evaluations
-            and self.budget.used_share(0, None) >= TUNING.refined_time_share)
+            and self.budget.used_share(0, None) >= self._time_shares[1])
 
     def _rate_placement(self, sites: Sequence[MountedCamera]) -> RatedPlacement:
         """Return a placement with its loss."""
-        return RatedPlacement(self.problem.objective.loss(views_of(sites)), tuple(sites))
+        return RatedPlacement(self.objective.loss(views_of(sites)), tuple(sites))
 
     def _sites_of(self, relaxation: ColumnGeneration, choice: Choice) -> Sites:
         """Return a choice as sites, in the order of the rig's cameras."""
@@ -233,7 +287,7 @@ class ColumnGenerationSearch(RigSearch):
         """
         # Share of the moves so far; the size of moves and the temperature decrease with it.
         progress = 0.0
-        first_loss = max(self.problem.objective.loss(views_of(sites)), TUNING.min_loss)
+        first_loss = max(self.objective.loss(views_of(sites)), TUNING.min_loss)
 
         def temperatures() -> Iterator[float]:
             nonlocal progress
@@ -250,15 +304,84 @@ class ColumnGenerationSearch(RigSearch):
             temperatures(), rng)
         return RatedPlacement(self.loss_of(best), best)
 
+    @cached_property
+    def _coarse_objective(self) -> Objective:
+        """Return the objective of exchanges, on smaller depth maps."""
+        return coarse_objective(self.problem.objective).searched
+
+    def _placed(self) -> list[Sites]:
+        """Return some greedy placements, among random candidates, and the best of random ones."""
+        rig, placed = self.problem.rig, []
+        for _ in range(TUNING.greedy_placements):
+            sites: list[MountedCamera] = []
+            while len(sites) < len(rig.cameras) and not self.budget.stopped:
+                rows = self.pool.spaced_rows(rig, sites)
+                site = self.pool.best_addition(self._coarse_objective, sites, self._drawn_rows(
+                    rows, min(TUNING.exchanged_poses, (len(rows) + 1) // 2), self.rng))
+                if site is None:
+                    break
+                sites.append(site)
+            placed.append(tuple(sites))
+        drawn = [self.pool.random_sites(rig, self.rng) for _ in range(TUNING.first_choices)]
+        placed.append(min((sites for sites in drawn if sites), default=(), key=lambda sites:
+                          self._coarse_objective.loss(views_of(sites))))
+        return [sites for sites in placed if len(sites) == len(rig.cameras)]
+
+    @staticmethod
+    def _drawn_rows(rows: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
+        """Draw up to ``count`` of some rows of candidates, in their order."""
+        return np.sort(rng.choice(rows, min(count, len(rows)), replace=False))
+
+    def _exchanged(self, starts: Sequence[Sites], count: int) -> list[Sites]:
+        """Return the best ``count`` placements after exchanges among the candidates."""
+        deadline = self.budget.deadline_check(TUNING.exchanged_time_share)
+        seeds = self.rng.integers(2 ** 32, size=len(starts))
+        results = mapped(lambda pair: self._exchange(
+            pair[0], np.random.default_rng(pair[1]), deadline), list(zip(starts, seeds)))
+        return [result.sites for result in distinct_results(
+            sorted(results, key=lambda result: result.loss), count)]
+
+    def _exchange(self, sites: Sites, rng: np.random.Generator, should_stop: Callable[[], bool]
+                  ) -> RatedPlacement:
+        """Exchange one camera after the other for its best candidate, while this helps."""
+        objective, rig = self._coarse_objective, self.problem.rig
+        loss = objective.loss(views_of(sites))
+        camera = unchanged = 0
+        while unchanged < len(sites) and not should_stop():
+            others = (*sites[:camera], *sites[camera + 1:])
+            model = rig.cameras[camera].model
+            candidates = self.pool.candidates_of(model)
+            rows = np.union1d(
+                candidates.nearest_rows(sites[camera].pose, TUNING.exchanged_poses // 2),
+                self._drawn_rows(np.arange(len(candidates.poses)), TUNING.exchanged_poses // 2,
+                                 rng))
+            rows = rows[are_spaced(candidates.poses[rows], others, rig.spacing)]
+            losses = objective.losses_with(views_of(others),
+                                           [candidates.views[row] for row in rows], place=camera)
+            unchanged += 1
+            if losses.min(initial=np.inf) < loss * (1.0 - 1e-9):
+                best = int(np.argmin(losses))
+                loss, unchanged = float(losses[best]), 0
+                sites = (*sites[:camera], self.pool.mounted_candidate(model, rows[best]),
+                         *sites[camera + 1:])
+            camera = (camera + 1) % len(sites)
+        return RatedPlacement(loss, sites)
+
+    def _refine_again(self, _: ColumnGeneration, results: list[RatedPlacement],
+                      distance_m: float, should_stop: Callable[[], bool]) -> list[RatedPlacement]:
+        """Refine the best results again by smaller moves."""
+        best = distinct_results(results, TUNING.near_results)
+        refined = self._refine_all([result.sites for result in best], distance_m,
+                                   self._repeated_moves, should_stop)
+        return sorted([*best, *refined], key=lambda result: result.loss)
+
     def _repeat_near(self, relaxation: ColumnGeneration, results: list[RatedPlacement],
                      distance_m: float, should_stop: Callable[[], bool]) -> list[RatedPlacement]:
         """Add poses near the best results to the grids, choose again, and refine the choices."""
         old_counts = [len(grid.places) for grid in relaxation.grids]
         best = distinct_results(results, TUNING.near_results)
         for result in best:
-            relaxation.add_columns([
-                self._add_poses_near(relaxation, site.pose, camera, distance_m)
-                for camera, site in enumerate(result.sites)])
+            self._add_near(relaxation, result, distance_m)
         # Only poses at the new places become columns now.
         relaxation.raise_bound(should_stop, [np.arange(count, len(grid.places))
                                for count, grid in zip(old_counts, relaxation.grids)])
@@ -266,6 +389,12 @@ class ColumnGenerationSearch(RigSearch):
         refined = self._refine_all([self._sites_of(relaxation, choice) for choice in choices],
                                    distance_m, self._repeated_moves, should_stop)
         return sorted([*best, *refined], key=lambda result: result.loss)
+
+    def _add_near(self, relaxation: ColumnGeneration, result: RatedPlacement, distance_m: float
+                  ) -> None:
+        """Add the poses of a result to the columns, and poses near them to the grids."""
+        relaxation.add_columns([self._add_poses_near(relaxation, site.pose, camera, distance_m)
+                                for camera, site in enumerate(result.sites)])
 
     def _add_poses_near(self, relaxation: ColumnGeneration, pose: np.ndarray, camera: int,
                         distance_m: float) -> Column:
@@ -387,8 +516,10 @@ class GrowingProof:
         if final is not None and proved.bound < (1.0 - TUNING.small_gap) * min(loss, final.bound):
             proved = final
         # A final bound of 0 says that no placement gains more than the whole loss of this one.
-        if proved.bound <= 0.0 < loss and not self.relaxation.closed:
-            return None, 'there was no time to prove one'
+        relaxed = relaxed_goals(self._problem.rig)
+        if proved.bound <= 0.0 < loss and (relaxed or not self.relaxation.closed):
+            return None, ('no bound for this goal' if relaxed and self.relaxation.closed
+                          else 'there was no time to prove one')
         # Without poses near the cameras, no choice of the grids may be as good as the placement.
         bound = min(max(proved.bound - self.relaxation.trees.rounding, 0.0), loss)
         problem = self._problem
@@ -399,7 +530,8 @@ class GrowingProof:
             proved.poses, proved.step, proved.near, heading_step,
             problem.simulator.config.engine.error_rows, loss, bound,
             self._is_complete and self.relaxation.closed,
-            loss_on_grid if np.isfinite(loss_on_grid) else None, self._budget.elapsed), ''
+            loss_on_grid if np.isfinite(loss_on_grid) else None, self._budget.elapsed,
+            relaxed), ''
 
 
 def prove_gap(make_proof: Callable[[], GrowingProof], loss: float, loss_on_grid: float
@@ -435,8 +567,6 @@ def search(problem: Problem, pool: CandidatePool, budget: Budget, seed: int,
     """
     Find the best placement of a rig's cameras, and prove its optimality gap.
 
-    For an objective without a lower bound, simulated annealing is used, without a proof.
-
     :param problem: the rig in the room.
     :param pool: candidates of all its models.
     :param budget: of the search and the proof.
@@ -444,16 +574,6 @@ def search(problem: Problem, pool: CandidatePool, budget: Budget, seed: int,
     :param start: a placement; the result is not worse. Empty for none.
     :param progress: called several times a second.
     """
-    if unprovable_reason(problem.objective):
-        return anneal(problem, pool, budget, seed, start, progress)
-    if problem.rig.no_interference and not start:
-        # The grid of poses knows nothing of pairs, so a placement that keeps cameras apart is one
-        # of those that are refined. Half of the budget is for finding it.
-        half = budget.restarted(budget.seconds and 0.5 * budget.seconds)
-        half.evaluations = budget.evaluations and max(budget.evaluations // 2, 1)
-        start = anneal(problem, pool, half, seed).sites
-        budget = budget.restarted(half.seconds)
-        budget.evaluations = half.evaluations
     solver = ColumnGenerationSearch(problem, pool, budget, seed, start)
     report = progress and (lambda: progress(solver.used_share(), solver.least_loss))
     return run_threads([solver.run], budget, report)[0]

@@ -241,12 +241,22 @@ def _count_watched(cells, numbers, covered, positions, seen_by, cosine, max_gap)
             linked[camera] = 0
             if covered[camera, word] >> bit & np.uint64(1):
                 seeing |= np.uint64(1) << np.uint64(camera)
-                directions[camera] = cells[number] - positions[camera]
-                directions[camera] /= max(np.sqrt((directions[camera] ** 2).sum()), 1e-9)
+                square = 0.0
+                for axis in range(3):
+                    directions[camera, axis] = cells[number, axis] - positions[camera, axis]
+                    square += directions[camera, axis] ** 2
+                length = max(math.sqrt(square), 1e-9)
+                for axis in range(3):
+                    directions[camera, axis] /= length
                 for other in range(camera):
+                    if not seeing >> np.uint64(other) & np.uint64(1):
+                        continue
+                    dot = 0.0
+                    for axis in range(3):
+                        dot += directions[camera, axis] * directions[other, axis]
                     # NaN is not greater than any number, so a view with NaN is always linked.
                     # 1e-9 is the tolerance for rounding.
-                    if not (directions[camera] * directions[other]).sum() > cosine + 1e-9:
+                    if not dot > cosine + 1e-9:
                         linked[other] |= np.uint64(1) << np.uint64(camera)
         if _has_clique(linked, seeing, seen_by) and (
                 max_gap >= 2.0 * np.pi or _largest_gap(directions, seeing) <= max_gap + 1e-9):

@@ -39,6 +39,8 @@ from ocp_ros.util.settings import ConfigurationError, MAX_CAMERAS
 
 #: The cost of missing all of a region that must be seen; missing the whole room costs 1.
 MUST_SEE_COST = 10.0
+#: The shared part of points that a search demands of linked cameras / that of the rig.
+LINK_MARGIN = 1.25
 
 
 class RigEvaluation(NamedTuple):
@@ -101,6 +103,7 @@ class Objective:
         #: Numbers of the cells of the regions of air, one after the other, in the engine's order.
         numbers = np.argsort(simulator.visibility.place_order)[len(simulator.grid):]
         air_numbers = iter(np.split(numbers, np.cumsum([len(cells) for cells in airs])))
+        self._link_condition = rig.calibratable
         count = len(rig.cameras)
         self.fixed = [simulator.look(pose, count + k) for k, pose in enumerate(rig.fixed_poses)]
         self._empty_view = View(
@@ -160,6 +163,20 @@ class Objective:
         return other
 
     @cached_property
+    def searched(self) -> 'Objective':
+        """
+        Return the objective of a search: links need a margin.
+
+        What two cameras share in the room itself may be less than in the engine.
+        """
+        if (condition := self._link_condition) is None:
+            return self
+        other = copy(self)
+        other._link_condition = condition._replace(
+            overlap=min(LINK_MARGIN * condition.overlap, 1.0))
+        return other
+
+    @cached_property
     def _air(self) -> Air:
         """Return the air of the room."""
         return Air(self.simulator.scene, self._space)
@@ -214,7 +231,7 @@ class Objective:
         """
         Yield the costs of not seeing each of the N points, without the depth error.
 
-        The rig must not have regions of air, nor requirements of several cameras for a point.
+        Regions of air are left out, and of requirements of several cameras one camera counts.
 
         :returns: pairs: the cost of each unseen point in the engine's order, and an amount of the
             summed costs of unseen points that is free: only a larger sum costs, and only its
@@ -224,11 +241,12 @@ class Objective:
             ``Simulator.look_around``.
         """
         # Each point of a region is an equal share of the region; other points are no part of it.
-        shares = [unpack(bits, len(self.simulator.scene)) / count_bits(bits)
-                  for bits in self._contents]
-        if self._weights.any():
-            yield self._weights @ shares, 0.0
-        for share_by_point, required in zip(shares, self._required_shares):
+        numbers = [k for k, region in enumerate(self.rig.regions) if not region.air]
+        shares = [unpack(self._contents[k], len(self.simulator.scene))
+                  / count_bits(self._contents[k]) for k in numbers]
+        if self._weights[numbers].any():
+            yield self._weights[numbers] @ shares, 0.0
+        for share_by_point, required in zip(shares, self._required_shares[numbers]):
             if required > 0.0:
                 yield MUST_SEE_COST * share_by_point, MUST_SEE_COST * (1.0 - required)
         count = len(self.simulator.scene)
@@ -273,25 +291,42 @@ class Objective:
         """Return the depth error of :meth:`evaluate_views`, metres, without the rest."""
         return self.simulator.depth_error(self._seen(self._with_fixed(views)))
 
-    def promise(self, views: Sequence[View]) -> float:
+    def losses_with(self, views: Sequence[View], more: Sequence[View], eased: bool = False,
+                    place: int | None = None) -> np.ndarray:
         """
-        Return the mean of the losses if 1, 2, ... n cameras have to see a point or cell of air.
-
-        n is the largest number of cameras that the rig or a region of air requires. Placements
-        with fewer than n cameras may all have the same loss; this mean distinguishes them.
+        Return the losses after adding one of M further cameras at a time.
 
         :param views: as for :meth:`evaluate_views`.
+        :param more: the views of the further cameras.
+        :param eased: whether to return the means of the losses if 1, 2, ... n cameras have to see
+            a point or cell of air, where n is the largest number that the rig or a region of air
+            requires. Placements with fewer than n cameras may all have the same loss; this mean
+            distinguishes them.
+        :param place: the index of the further camera in the rig; None for the one after the views.
+        :returns: (M,) losses.
         """
-        all_views = self._with_fixed(views)
-        seen = self._seen_by_count(all_views)
-        counts = [len(seen), *(region.air.seen_by for region in self.rig.regions if region.air)]
-        # A region of air may require more cameras than the rig requires for points.
-        losses = [self._loss_of(seen[min(count, len(seen)) - 1], all_views, count)[0]
-                  for count in range(1, max(counts) + 1)]
-        return float(np.mean(losses)) + self._pair_cost(views)
+        given = self._with_fixed(views)
+        # The first one is all points, since no camera has to see them before the further one.
+        levels = [~np.zeros_like(given[0].seen), *self._seen_by_count(given)]
+        most = max(self.rig.seen_by, *(region.air.seen_by for region in self.rig.regions
+                                       if region.air), 1)
+        counts = range(1, most + 1) if eased else [MAX_CAMERAS]
+        losses = np.zeros(len(more))
+        for count in counts:
+            # A region of air may require more cameras than the rig requires for points.
+            level = min(count, self.rig.seen_by)
+            error_of = self.simulator.depth_error.given(levels[level])
+            for k, view in enumerate(more):
+                # With the further camera, these points count as seen too.
+                new = levels[level - 1] & view.seen
+                losses[k] += self._loss_of(levels[level] | new, [*given, view], count,
+                                           error_of(new))[0]
+        place = len(views) if place is None else place
+        return losses / len(counts) + [self._pair_cost([*views[:place], view, *views[place:]])
+                                       for view in more]
 
-    def _loss_of(self, seen: np.ndarray, views: Sequence[View], max_seen_by: int = MAX_CAMERAS
-                 ) -> tuple[float, float, np.ndarray, np.ndarray]:
+    def _loss_of(self, seen: np.ndarray, views: Sequence[View], max_seen_by: int = MAX_CAMERAS,
+                 error: float | None = None) -> tuple[float, float, np.ndarray, np.ndarray]:
         """
         Return the loss without the cost of links, the depth error, and two arrays of shares.
 
@@ -300,9 +335,10 @@ class Objective:
         :param seen: packed bits of the points that count as seen.
         :param views: the views of all cameras, for regions of air and requirements.
         :param max_seen_by: a region of air requires at most this number of cameras for a cell;
-            :meth:`promise` lowers the requirements in this way.
+            :meth:`losses_with` lowers the requirements in this way.
+        :param error: the depth error of these points, metres; None to compute it.
         """
-        error = self.simulator.depth_error(seen)
+        error = self.simulator.depth_error(seen) if error is None else error
         shares = np.array([
             count_bits(seen & content) / count_bits(content) if region.air is None else
             watched_share(self._cells, content, [view.covered for view in views], views,
@@ -364,7 +400,7 @@ class Objective:
         :returns: the covisibility of these cameras and those in place; None if the rig does not
             require links between cameras, or if a view has several positions.
         """
-        views, condition = self._with_fixed(views), self.rig.calibratable
+        views, condition = self._with_fixed(views), self._link_condition
         if condition is None or any(view.position is None for view in views):
             return None
         return covisibility(self._points, views, condition, len(self.fixed))

@@ -25,11 +25,10 @@ import numpy as np
 from ocp_ros.geometry.cameras import CameraModel, heading_of, rotation_matrix
 from ocp_ros.geometry.engine_config import EngineConfig, PROMISING
 from ocp_ros.geometry.packed_bits import unpack
-from ocp_ros.report.findings import broken_by, camera_scores, expected, rig_scores
+from ocp_ros.report.findings import broken_by, camera_scores, expected, gaps_of, rig_scores
 from ocp_ros.rig.feasible_region import FeasibleRegion, satisfies_spacing
 from ocp_ros.rig.motion import nearest_place
 from ocp_ros.rig.placement_file import as_written, created_by, Placement, placement_of
-from ocp_ros.rig.plausibility import missing_surfaces
 from ocp_ros.rig.rig_file import Camera, Rig, rig_from
 from ocp_ros.rig.schemas import MAX_COORDINATE_M, MAX_NAME_LENGTH, RIG
 from ocp_ros.scenes.scene import Scene
@@ -175,7 +174,7 @@ class Evaluation:
         """Return the depth error to expect in the real room, and its interval, metres."""
         simulator = self.problem.simulator
         return expected(self.rig_scores['validation_error'], simulator.depth_error.worst,
-                        missing_surfaces(simulator.scene))
+                        gaps_of(simulator.scene))
 
     def points_seen_by(self, camera: int) -> np.ndarray:
         """Return whether a camera sees each point: (N,) bool."""

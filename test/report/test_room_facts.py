@@ -18,9 +18,10 @@ from functools import cache
 from pathlib import Path
 import warnings
 
-from conftest import box_sides, printed, ROOT
+from conftest import box_sides, made_room, printed, ROOT
 import numpy as np
 from ocp_ros.cli.main import main
+from ocp_ros.report.findings import expected, gaps_of
 from ocp_ros.report.room_facts import facts_of, SIDES
 from ocp_ros.rig.rig_file import rig_of
 from ocp_ros.scenes.scene import Scene, SceneError
@@ -144,3 +145,13 @@ def test_cameras_hang_inside(name, mount):
 def test_an_extended_header_of_pcd_is_named():
     with pytest.raises(SceneError, match='HEADER_EXT'):
         read('ext3.pcd')
+
+
+def test_a_sparse_scan_widens_what_is_expected():
+    sparse, dense = made_room(8, 2000), made_room(8, 15_000)
+    assert gaps_of(sparse) == ('sparse',) and gaps_of(dense) == ()
+    for error in (1.0, 5.0, 12.0):
+        narrow, wide = (expected(error, 40.0, gaps_of(scene)) for scene in (dense, sparse))
+        assert wide['low'] <= narrow['low'] and wide['high'] >= narrow['high']
+        assert wide['depth_error'] > narrow['depth_error']
+    assert wide['high'] > 1.4 * narrow['high']

@@ -29,7 +29,7 @@ from ocp_ros.rig.rig_file import rig_of
 from ocp_ros.scenes.scene import Scene, SceneError
 from ocp_ros.simulation.environment import CameraPlacementEnv
 from ocp_ros.simulation.episode import Episode
-from ocp_ros.simulation.objective import MUST_SEE_COST
+from ocp_ros.simulation.objective import MUST_SEE_COST, Objective
 from ocp_ros.simulation.problem import PlaneProblem, Problem
 from ocp_ros.simulation.reward import potential, reward, Value
 from ocp_ros.simulation.simulation_config import EpisodeConfig, RewardConfig, SimulationConfig
@@ -369,6 +369,27 @@ def test_overlap_what_each_camera_adds_and_what_one_more_would(room, least):
     np.testing.assert_allclose(
         errors, [objective.evaluate_views([*views[:2], view]).depth_error for view in views])
     assert errors.max() <= objective.evaluate_views(views[:2]).depth_error
+
+
+@pytest.mark.parametrize('more', [{}, {'seen_by': 2, 'regions': REGIONS}, {'calibratable': {}}])
+def test_the_losses_of_one_more_camera_are_those_of_all(room, more):
+    objective = objective_of(room, **more)
+    views = objective.look(POSES)
+    np.testing.assert_allclose(objective.losses_with(views[:2], views),
+                               [objective.loss([*views[:2], view]) for view in views])
+    # The eased losses are the means for requirements of one camera and more.
+    eased = [Objective(objective.simulator, replace(objective.rig, seen_by=count)).loss(views[:1])
+             for count in range(1, objective.rig.seen_by + 1)]
+    assert objective.losses_with([], views[:1], eased=True) == pytest.approx(np.mean(eased))
+
+
+def test_a_search_demands_more_of_links_than_the_rig(room):
+    objective = objective_of(room, calibratable={'overlap': 0.2})
+    views = objective.look(POSES)
+    assert objective.searched.covisibility(views).required == pytest.approx(0.25)
+    assert objective.covisibility(views).required == 0.2
+    assert objective.searched.loss(views) >= objective.loss(views)
+    assert objective_of(room).searched.covisibility(views) is None
 
 
 def test_nobody_sees_nothing(room):

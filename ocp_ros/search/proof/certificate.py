@@ -20,7 +20,7 @@ The proof holds for these poses, for the engine's visibility and for its depth m
 
 from dataclasses import dataclass
 
-from ocp_ros.simulation.objective import Objective
+from ocp_ros.rig.rig_file import Rig
 
 
 @dataclass(frozen=True)
@@ -40,6 +40,7 @@ class Certificate:
     :ivar on_grid: loss of the best placement on the grid before poses were added near it; None if
         none was found.
     :ivar seconds: duration of the proof, including the search if both share one budget.
+    :ivar relaxed: the :func:`relaxed_goals` of the rig, in which the bound is too optimistic.
     """
 
     candidates: int
@@ -52,6 +53,7 @@ class Certificate:
     final: bool
     on_grid: float | None
     seconds: float
+    relaxed: tuple[str, ...] = ()
 
     @property
     def gap(self) -> float:
@@ -66,16 +68,10 @@ class Certificate:
         return max((self.on_grid - self.found) / self.on_grid, 0.0) if self.on_grid > 0.0 else 0.0
 
 
-def unprovable_reason(objective: Objective) -> str | None:
-    """Return the reason why no bound can be proved for a rig; None if one can be proved."""
-    if objective.rig.seen_by > 1:
-        return (f'found seen_by: {objective.rig.seen_by}; expected 1, for bounds are known where '
-                'one camera has to see a place')
-    if objective.rig.calibratable is not None:
-        return 'found calibratable; expected a rig without it, for bounds do not know of pairs'
-    if any(region.air for region in objective.rig.regions):
-        return 'found regions of air; expected regions of points, for bounds do not know of pairs'
-    if any(requirement.cameras > 1 for requirement in objective.rig.requirements):
-        return ('found require with several cameras for a point; expected one camera, for bounds '
-                'do not know of pairs')
-    return None
+def relaxed_goals(rig: Rig) -> tuple[str, ...]:
+    """Return the keys of a rig's goals that lower bounds count only in part, or not at all."""
+    found = {'seen_by': rig.seen_by > 1, 'calibratable': rig.calibratable is not None,
+             'air': any(region.air for region in rig.regions),
+             'interference': rig.no_interference,
+             'require': any(requirement.cameras > 1 for requirement in rig.requirements)}
+    return tuple(name for name, relaxed in found.items() if relaxed)

@@ -70,7 +70,7 @@ class ColumnTuning:
     max_programs: int = 12
     closed_gap: float = 0.004
     min_loss: float = 0.02
-    negligible_loss: float = 5e-4
+    negligible_loss: float = 1e-3
     equal_loss: float = 1e-6
     other_place_m: float = 0.6
 
@@ -190,6 +190,12 @@ class ColumnGeneration:
         if self._greedy is None:
             self._greedy = self._choose_greedily(should_stop)
             self.add_columns(self._greedy)
+        if self._greedy:
+            # The programs cannot raise the bound above the loss of the greedy choice.
+            shares = np.array([column in self._greedy for column in self._columns], dtype=float)
+            if self._merged_loss(shares) <= TUNING.negligible_loss:
+                self._shares, self.closed = shares, True
+                return
         places = [np.arange(len(grid.places)) for grid in self.grids] if places is None else places
         for number in range(TUNING.max_programs):
             # Solve the linear program of the columns.
@@ -246,6 +252,13 @@ class ColumnGeneration:
             chosen.append(best[1])
             missing[best[1].grid] -= 1
         return chosen
+
+    def _merged_loss(self, choice: np.ndarray) -> float:
+        """Return the loss of a choice (n,) of columns, each 0 or 1."""
+        unserved = self._merged.unserved_nodes(self._seen_by, choice)
+        constants, _ = self._merged.loss_cuts(self._seen_by, len(choice),
+                                              self._merged.weights * unserved)
+        return float(np.maximum(constants, 0.0).sum())
 
     def _largest_gain(self, gains: dict[int, np.ndarray], count: int) -> float:
         """Return the largest total gain of ``count`` poses, given the gains (H,) at each place."""

@@ -27,6 +27,10 @@ Lower bound: for all multipliers u between 0 and the weights of the nodes, the l
 of poses is at least the sum of u minus the gains of the chosen poses. The gain of a pose is the
 sum of u over the nodes that this pose serves. The gains of all headings of a place are computed in
 one traversal of the trees.
+
+If several cameras have to see a point, k in addition to those in place, each pose serves 1 / k of
+a node. This bounds the loss from below, since k poses that see the same point of a node serve all
+of it. Links between cameras and regions of air, whose costs are not negative, are left out.
 """
 
 from collections.abc import Sequence
@@ -34,7 +38,8 @@ from typing import NamedTuple
 
 import numpy as np
 from ocp_ros.geometry.depth_error import Trees
-from ocp_ros.geometry.packed_bits import unpack
+from ocp_ros.geometry.packed_bits import no_bits, unpack
+from ocp_ros.geometry.packed_bits import seen_by as enough_seen
 from ocp_ros.simulation.objective import Objective
 from ocp_ros.util.kernels import njit
 from ocp_ros.util.threads import mapped
@@ -59,6 +64,7 @@ class LossTrees(NamedTuple):
     :ivar slacks: (B,) loss of each part that costs nothing: for a region, the share that need not
         be visible.
     :ivar rounding: largest amount by which clamped negative weights raise the loss.
+    :ivar needed: number of poses that have to see a point in addition to the cameras in place.
     """
 
     points: np.ndarray
@@ -69,13 +75,14 @@ class LossTrees(NamedTuple):
     part_starts: np.ndarray
     slacks: np.ndarray
     rounding: float
+    needed: int = 1
 
     @classmethod
     def of(cls, objective: Objective) -> 'LossTrees':
         """
         Build the trees of a rig's objective.
 
-        :param objective: without regions of air; the nodes that fixed cameras serve weigh 0.
+        :param objective: the nodes that its fixed cameras serve weigh 0.
         """
         error = objective.simulator.depth_error
         # The arrays of the depth error, then of the requirements of regions.
@@ -107,12 +114,17 @@ class LossTrees(NamedTuple):
         trees = cls(np.concatenate(point_arrays), ends, parents, np.maximum(weights, 0.0), depth,
                     np.array([*starts, len(weights)]), np.array(slacks), rounding)
         # The nodes that fixed cameras serve cost nothing. All fixed cameras together are one pose.
-        count = len(objective.simulator.scene)
+        rig, count = objective.rig, len(objective.simulator.scene)
         seen = np.zeros(objective.simulator.row_count, dtype=bool)
         for view in objective.fixed:
             seen |= np.concatenate([unpack(bits, count) for bits in (view.seen, *view.good)])
-        seen_by = seen.astype(np.uint64)[:, None]
-        return trees._replace(weights=trees.weights * trees.unserved_nodes(seen_by, np.ones(1)))
+        seen[:count] = unpack(enough_seen([no_bits(count), *(
+            view.seen for view in objective.fixed)], rig.seen_by)[-1], count)
+        needed = min([rig.seen_by, *(entry.sight.seen_by for entry in rig.requirements)])
+        return trees._replace(
+            weights=trees.weights * trees.unserved_nodes(
+                seen.astype(np.uint64)[:, None], np.ones(1)),
+            needed=max(needed - len(objective.fixed), 1))
 
     def merged(self, seen_by: np.ndarray) -> tuple['LossTrees', np.ndarray]:
         """
@@ -136,14 +148,14 @@ class LossTrees(NamedTuple):
 
     def unserved_nodes(self, seen_by: np.ndarray, shares: np.ndarray) -> np.ndarray:
         """
-        Return the nodes for which the shares of the poses that serve them sum to less than 1.
+        Return the nodes for which the shares of the poses that serve them sum to too little.
 
         :param seen_by: (N, W) uint64, bits of the poses that see each point.
         :param shares: (n,) from 0 to 1, the chosen share of each pose.
         :returns: (T,) bool.
         """
         padded_shares = np.zeros(64 * seen_by.shape[1])
-        padded_shares[:len(shares)] = shares
+        padded_shares[:len(shares)] = shares / self.needed
         chosen = np.packbits(padded_shares > ZERO_TOLERANCE, bitorder='little').view(np.uint64)
         unserved = np.zeros(len(self.weights), dtype=bool)
 
@@ -168,7 +180,7 @@ class LossTrees(NamedTuple):
             the other nodes; any values from 0 to the weights give a valid cut.
         :returns: constants (B,) and gains (B, n).
         """
-        sums = _subtree_sums(self.parents, weights)
+        sums = _subtree_sums(self.parents, weights) / self.needed
         gains = np.zeros((len(self.slacks), 64 * seen_by.shape[1]))
 
         def constant_of(part: int) -> float:
@@ -180,7 +192,7 @@ class LossTrees(NamedTuple):
 
     def gain_trees(self, multipliers: np.ndarray) -> 'GainTrees':
         """Return the trees that give the gains of poses for multipliers (T,)."""
-        sums = _subtree_sums(self.parents, multipliers)
+        sums = _subtree_sums(self.parents, multipliers) / self.needed
         positive = sums > 0.0
         # Nodes without gain are left out. These are the new numbers of the old nodes; the last one
         # is for ends behind all nodes.
