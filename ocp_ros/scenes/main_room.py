@@ -40,7 +40,7 @@ MAX_FLOOR_GAP_M = 0.4
 MIN_HALF_WIDTH_M, MIN_HALF_CLOSET_M = 0.6, 0.3
 #: Square metres: the least area of a room of a floor; that of a closet of 2 m2 without a cell at
 #: its walls.
-MIN_ROOM_M2 = 1.3
+MIN_ROOM_M2 = 1.1
 
 
 def main_room(scene: Scene, points: np.ndarray, surfaces: np.ndarray, all_rooms: bool = False
@@ -92,8 +92,9 @@ def main_room(scene: Scene, points: np.ndarray, surfaces: np.ndarray, all_rooms:
     if len(other_numbers) >= 4 or (other_numbers and weights.max() < 0.45 * weights.sum()):
         return _with_rooms(scene, thin_points, cell, glass, corner)
     if len(glass):
-        # Of a room behind glass there may be less, and in parts.
-        other_numbers = np.setdiff1d(np.flatnonzero(counts), [main_number])
+        # Of a room behind glass there may be less, and in parts, of 1 m2 together.
+        others = np.setdiff1d(np.flatnonzero(counts), [main_number])
+        other_numbers = others if rooms.areas[others - 1].sum() >= 1.0 else []
     positions = scene.points - corner
     is_kept = ~np.isin(rooms.at(positions), other_numbers)
     # Points beside the main room that face it are on its own walls, and are kept too.
@@ -251,12 +252,27 @@ class _RoofedPlaces:
 
 
 def _near_surfaces(points: np.ndarray, surfaces: np.ndarray) -> np.ndarray:
-    """Return the points (N, 3) with a point of ``surfaces`` (M, 3) near them, both metres."""
+    """
+    Return the points (N, 3) near points of ``surfaces`` (M, 3), both metres.
+
+    Stray points in the air have few neighbours, and those lie on no plane. They must not count as
+    walls and lintels, however many there are. Far from a scanner, surfaces have few points too.
+    """
     tree = cKDTree(surfaces)
     distances, _ = tree.query(surfaces[::max(len(surfaces) // 2000, 1)], k=2)
-    radius = max(0.1, 2.0 * float(np.median(distances[:, 1])))
+    spacing = float(np.median(distances[:, 1]))
     thin_points = voxel_downsample(points, PLAN_VOXEL_M)
-    return thin_points[np.isfinite(tree.query(thin_points, distance_upper_bound=radius)[0])]
+    count = min(9, len(surfaces))
+    distances, indices = tree.query(thin_points, k=count)
+    is_kept = distances[:, 0] <= max(0.1, 2.0 * spacing)
+    # The eighth neighbour of a point of a dense surface is at most this far away.
+    is_sparse = np.flatnonzero(is_kept & (distances[:, min(7, count - 1)]
+                                          > max(0.15, 3.0 * spacing)))
+    places = surfaces[indices[is_sparse]].astype(np.float64)
+    places -= places.mean(axis=1, keepdims=True)
+    variances = np.linalg.eigvalsh(np.einsum('mpi,mpj->mij', places, places))
+    is_kept[is_sparse] = variances[:, 0] < 0.02 * variances[:, 1]
+    return thin_points[is_kept]
 
 
 def _glass_walls(scene: Scene, points: np.ndarray) -> np.ndarray:

@@ -33,8 +33,8 @@ from ocp_ros.studio.texts import summary
 import pytest
 from rich.console import Console
 
-#: A corridor, rooms of 27, 20 and 14 m2, and a closet of 2 m2. The last door is closed.
-FLOOR = along_corridor([[6.0, 1.4], [4.5, 3.0]], furniture=0)
+#: A corridor, rooms of 27, 20 and 10 m2, and a closet of 2 m2. The last door is closed.
+FLOOR = along_corridor([[6.0, 1.4], [4.5, 2.2]], furniture=0)
 CLOSED = FLOOR._replace(doors=FLOOR.doors[:-1])
 
 
@@ -55,7 +55,7 @@ def test_each_room_and_closet_is_found_and_has_viewpoints_by_its_air(floor, degr
     areas = (CLOSED.rooms[:, 1] - CLOSED.rooms[:, 0]).prod(axis=1)
     number_of = np.argsort(np.argsort(-areas)) + 1
     assert np.mean(number_of[own] == found) > 0.93
-    np.testing.assert_allclose(scene.rooms.areas, np.sort(areas)[::-1], rtol=0.25)
+    np.testing.assert_allclose(scene.rooms.areas, np.sort(areas)[::-1], rtol=0.35)
     assert np.array_equal(scene.rooms.at(scene.rooms.middles), np.arange(len(areas)) + 1)
     for kind, least in (('air', 16), ('validation', 64)):
         counts = np.bincount(scene.rooms.at(viewpoints_of(scene, kind)), minlength=6)[1:]
