@@ -41,7 +41,7 @@ from ocp_ros.simulation.simulation_config import SimulationConfig
 
 MOUNTS = {'walls': {'on': 'walls'}, 'stands': {'on': 'plane', 'height': 1.6}}
 #: Points of a scan, poses of a room and mount, and metres by which a ray is blocked or ends.
-POINTS, POSES, BLOCKED_M, REACHED_M = 60_000, 40, 0.2, 0.03
+POINTS, POSES, BLOCKED_M, REACHED_M = 60_000, 20, 0.2, 0.03
 ROWS = ('all', 'proved', 'proved_known_stations')
 
 
