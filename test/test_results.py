@@ -56,6 +56,13 @@ TABLES = [
     (RESULTS, '| rig | plan', 'd455_walls d455_stands all_round_stands',
      'measure/plans/rigs/{row}/{key}', 'plan_over_lookahead plan_over_lookahead_worst '
      'plan_over_truth expected_mean promise_coverage certificate_gap'),
+    (RESULTS, '| cameras, speed', ' '.join(
+        f'{rig}.{case}' for rig in ('around', 'four_d455') for case in (
+            'faster_than_thinking', 'slower_than_thinking', 'faster_and_waiting_for_plans')),
+     'nodes/value/{row}/{key}', 'wall_s/0 wall_s/1 processor_s/0 processor_s/1'),
+    (RESULTS, '| pixels, clouds per second', '640x480.5 640x480.15 1280x720.5 1280x720.15',
+     'nodes/clouds/{row}/{key}',
+     'clouds_per_s_of_a_camera turns_with_all_cameras cores memory_mb'),
     (MODELS, '| repairs', 'literal_60000_0 critics_60000_0 updates_60000_0 blocks_60000_0 '
      'augmented_60000_0 augmented_300000_0 wide_300000_0', 'ladder/rows/{row}/{key}',
      'interactions ratio least_ratio'),
@@ -97,9 +104,8 @@ SENTENCES = [
      '`lookahead` {} m', 'benchmark_four_d455/planners/{key}',
      'rig_search/300/sum rig_search/300/seconds tdsa/300/sum tdsa/300/seconds learned/0/sum '
      'lookahead/0/sum'),
-    (RESULTS, '{} ms (median) and {} ms (99th percentile). With four D455 it takes {} and {} ms',
-     'nodes/value/learned/{key}',
-     'points_25000_ms/0 points_25000_ms/1 rig_of_four_d455_ms/0 rig_of_four_d455_ms/1'),
+    (RESULTS, 'the final depth error is {}, {} and {} times that of a search that knows the room',
+     'nodes/rooms/{key}/ratio', '0 1 2'),
     (RESULTS,
      '{} ms (median) with four cameras and {} points, and {} ms with eight cameras and {} points',
      'studio/sizes/{key}',

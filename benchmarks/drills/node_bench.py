@@ -13,28 +13,30 @@
 # limitations under the License.
 
 """
-Measure the nodes: how long a policy takes to answer, and how fast training over ROS is.
+Measure the nodes: how soon live cameras get a command, big clouds, placements, training over ROS.
 
-A turn is answered within one callback, from the cloud received to the command published; what a
-planner thinks afterwards, while cameras would move, is told apart. What both take of the processor
-is told beside the wall, since other programs make the latter longer.
+    python -m benchmarks.drills.node_bench --seconds 0 --record
+
+A simulated rig in this process moves at some speed and publishes clouds, whose points are found by
+ray casting in the room; ``policy_node`` runs in a process of its own. The time of a turn is that
+from the newest cloud that a command uses to the command, and what the node takes of the processor
+meanwhile.
 """
 
 import argparse
 from collections.abc import Iterable
-import cProfile
-import io
 import json
 import os
 from pathlib import Path
-import pstats
-import sys
 import tempfile
 import time
-from typing import Any
+from typing import Any, NamedTuple
 
 from benchmarks import results
+from benchmarks.drills.drill import rss_of
+from geometry_msgs.msg import PoseArray
 import numpy as np
+from ocp_ros.compare.judging import judged_room
 from ocp_ros.demo.train_demo import start_nodes
 from ocp_ros.demo.watched_nodes import (
     end_on_signals,
@@ -43,155 +45,261 @@ from ocp_ros.demo.watched_nodes import (
     stopped_at_the_end,
     Watch,
 )
-from ocp_ros.geometry.cameras import heading_of
-from ocp_ros.geometry.engine_config import EngineConfig
-from ocp_ros.rooms.generator import generate_room
-from ocp_ros.ros.interface import topics
+from ocp_ros.geometry.cameras import heading_of, rotation_matrix
+from ocp_ros.geometry.engine_config import PROMISING
+from ocp_ros.geometry.packed_bits import Subset
+from ocp_ros.rig.motion import towards, turned_towards
+from ocp_ros.rooms.room_sets import VALIDATION
+from ocp_ros.ros.interface import qos, topics
 from ocp_ros.ros.interface.conversions import (
     cloud_to_msg,
-    fields_to_msg,
     msg_to_poses,
     ns_to_stamp,
     positions_to_msg,
+    stamp_to_ns,
 )
-from ocp_ros.ros.policy.policy_config import PLANNERS, PolicyNodeConfig
-from ocp_ros.ros.policy.simulated_turns import SimulatedTurns
-from ocp_ros.ros.policy_node import PolicyNode
+from ocp_ros.ros.policy.policy_config import LIVE_DEFAULTS
 from ocp_ros.ros.runtime.node_main import LOCALHOST_ENVIRONMENT
+from ocp_ros.scenes.source_frame import BY_FILE
+from ocp_ros.search.budget import Budget
+from ocp_ros.search.plan import plan
 from ocp_ros.simulation.episode import Episode
-from ocp_ros.simulation.problem import make_problem
-from ocp_ros.simulation.simulation_config import SimulationConfig
+from ocp_ros.simulation.problem import Problem
+from ocp_ros.simulation.simulation_config import EpisodeConfig, SimulationConfig
 from ocp_ros.util.threads import cores
-from rclpy.parameter import Parameter
-from rich.console import Console
-from rich.progress import track
-from std_msgs.msg import Float64MultiArray, Header
+from rclpy.node import Node
+from rclpy.serialization import serialize_message
+from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import Header
 
-POINTS, PAIRS = (25_000, 100_000), (1, 2, 4)
-#: Planners and weights; those of the paper's inputs ask no engine.
-PLAYED = tuple((planner, PolicyNodeConfig.model) for planner in PLANNERS)
-#: A rig file whose cameras are aimed and kept to constraints as well.
-RIG = 'config/rig/four_d455.yaml'
-#: The first of the rooms in which turns are answered; none of them is a training room.
-FIRST_ROOM = 200
-#: Share of a room's points that cameras see in the end, about.
-SEEN = 0.95
-TURNS = 30
-#: Gradient steps begin after so many transitions, and measuring after as many more.
-STARTS = 100
-PATIENCE = 300.0
+#: Numbers of pairs of sim and policy; transitions before a training is measured; longest wait, s.
+PAIRS, STARTS, PATIENCE = (1, 2, 4), 100, 600.0
+AROUND = 'cameras: [{{sensor: omnidirectional, max_range: 4.0, count: {}}}]\n' \
+    'mount: {{on: plane, height: 1.9}}\n'
+#: Points of a scan, evaluations of a search that knows it, seconds between two poses.
+POINTS, EVALUATIONS, POSE_S = 60_000, 1000, 0.02
+#: Standard deviations of measured poses: metres and radians.
+NOISE = 0.01, np.deg2rad(1.0)
 
 
-class Answers:
+class Case(NamedTuple):
     """
-    A policy node that answers turns of a simulated room, timed.
+    A rig in some rooms.
 
-    :param watch: whose executor spins the node, and which listens to the commands.
-    :param planner: of the node.
-    :param model: its weights.
-    :param rig: path of a rig file; empty for none.
-    :ivar profile: of the turns that come, if they shall be profiled and not timed.
+    :ivar rig: text of a rig file, or the path of one.
+    :ivar rooms: seeds of generated rooms.
+    :ivar speed: of the cameras, m/s and rad/s.
+    :ivar pixels: width and height of each camera's clouds.
+    :ivar rate: clouds of a camera in a second.
+    :ivar parameters: of ``policy_node``.
     """
 
-    def __init__(self, watch: Watch, planner: str, model: str, rig: str) -> None:
-        self.rig = rig
-        self.watch, self.wall, self.cpu, self.points = watch, [], [], []
-        #: Seconds that were thought after the command, while cameras would move.
-        self.thought: list[float] = []
-        self.profile: cProfile.Profile | None = None
-        self.node = PolicyNode(context=watch.context, parameter_overrides=[
-            Parameter('planner', value=planner), Parameter('model', value=model),
-            Parameter('turns', value=TURNS), Parameter('rig_file', value=rig)])
-        assert isinstance(self.node.source, SimulatedTurns)
-        self.turns = self.node.source
-        self._published = 0.0
-        # In this thread, so that the time is that of the planner alone.
-        self._plan_ahead = self.node.decider.step.plan_ahead
-        self.node.decider.plan_ahead = self._reflect  # type: ignore[method-assign]
-        # A node that has just begun looks first whether another one commands.
-        watch.spin_until(lambda: not self.node.must_wait, PATIENCE, 'the right to command', [])
-
-    def _reflect(self) -> None:
-        """Think as the node does, and remember when that began."""
-        self._published = time.perf_counter()
-        self._plan_ahead()
-
-    def play(self, room: int, points: int) -> None:
-        """Play an episode in a room of so many points."""
-        config = SimulationConfig(
-            engine=EngineConfig(preset='fast', error_rows=32), rig_file=self.rig)
-        problem = make_problem(generate_room(room, round(points / SEEN)), config)
-        episode = Episode(problem, np.random.default_rng(room))
-        number = room * 1000
-        while not episode.turn.truncated:
-            number += 1
-            header = Header(stamp=ns_to_stamp(number), frame_id='map')
-            self.turns.on_reward(_reward(number, room, episode.turn.step))
-            self.turns.on_poses(positions_to_msg(
-                episode.turn.positions, header, episode.turn.headings))
-            cloud = cloud_to_msg(episode.observed_cloud, header)
-            wall, cpu = time.perf_counter(), time.process_time()
-            if self.profile:
-                self.profile.runcall(self.turns.on_cloud, cloud)
-            else:
-                self.turns.on_cloud(cloud)
-            self.cpu.append(time.process_time() - cpu)
-            self.wall.append(self._published - wall)
-            self.thought.append(time.perf_counter() - self._published)
-            self.points.append(cloud.width)
-            targets = msg_to_poses(self.turns.answer)
-            moves = [pose.position for pose in targets] - episode.turn.positions
-            episode.move(moves, np.array([heading_of(pose.rotation) for pose in targets])
-                         if self.rig else None)
+    rig: str
+    rooms: tuple[int, ...]
+    speed: float
+    pixels: tuple[int, int] = (160, 120)
+    rate: float = 10.0
+    parameters: dict[str, Any] = {}
 
 
-def _reward(stamp: int, episode: int, step: int) -> Float64MultiArray:
-    """Return what a simulation says of a turn."""
-    return fields_to_msg({**dict.fromkeys(topics.REWARD_FIELDS, 0.0), 'stamp_nanosec': stamp,
-                          'episode': episode, 'step': step})
-
-
-def latency(watch: Watch, planner: str, model: str, rig: str, points: int, rooms: int
-            ) -> dict[str, Any]:
+class MovingRig(Node):
     """
-    Measure how long turns take.
+    Cameras that move to where they are sent, and publish poses with noise and clouds.
 
-    :param rig: path of a rig file; empty for none.
-
-    :returns: milliseconds, wall and processor, and the functions that took most of the time.
+    :param problem: the rig in a room; it says which points each pose sees.
+    :param placement: (K, 6) metres and radians, where the cameras begin.
+    :param case: see :class:`Case`.
+    :ivar latencies: of each turn: seconds, and seconds of the processor.
+    :ivar commanded: (K, 3) of each turn, metres.
     """
-    answers = Answers(watch, planner, model, rig)
-    try:
-        # What is compiled or built once is not measured.
-        answers.play(FIRST_ROOM - 1, 5000)
-        answers.wall, answers.cpu, answers.points, answers.thought = [], [], [], []
-        for room in range(FIRST_ROOM, FIRST_ROOM + rooms):
-            answers.play(room, points)
-        wall, cpu = 1e3 * np.array(answers.wall), 1e3 * np.array(answers.cpu)
-        answers.profile = cProfile.Profile()
-        answers.play(FIRST_ROOM + rooms, points)
-        return {'planner': planner, 'model': model, 'rig': rig, 'points': points,
-                'turns': len(wall),
-                'points_seen_in_the_end': int(max(answers.points)),
-                **{f'{name}_{kind}': float(np.percentile(values, level))
-                   for kind, values in (('ms', wall), ('cpu_ms', cpu),
-                                        ('thought_ms', 1e3 * np.array(answers.thought)))
-                   for name, level in (('p50', 50), ('p99', 99), ('max', 100))},
-                'profile': _hottest(answers.profile)}
-    finally:
-        answers.node.destroy_node()
+
+    def __init__(self, problem: Problem, placement: np.ndarray, case: Case, **kwargs) -> None:
+        super().__init__('rig', **kwargs)
+        self._problem, self._case = problem, case
+        self.placement, self._goal = placement.copy(), placement.copy()
+        self._rng = np.random.default_rng(0)
+        #: For each camera the pose of its last view, and the serialised cloud from there.
+        self._views: list[tuple[bytes, bytearray]] = [(b'', bytearray())] * len(placement)
+        #: By stamp of a cloud: when it was published, and the processor time of the node then.
+        self._sent: dict[int, tuple[float, float]] = {}
+        self.latencies: list[tuple[float, float]] = []
+        self.commanded: list[np.ndarray] = []
+        self.clouds, self.pid = 0, 0
+        self._answered, self._is_moving = 0, False
+        self._poses = self.create_publisher(PoseArray, topics.CAMERA_POSES, qos.LOOP)
+        self._clouds = [self.create_publisher(PointCloud2, f'points_{camera}', qos.LOOP)
+                        for camera in range(len(placement))]
+        self.create_subscription(PoseArray, topics.CAMERA_COMMANDS, self._on_command, qos.LOOP)
+        self.create_timer(POSE_S, self._move)
+        self._last_move = time.monotonic()
+        self.create_timer(1.0 / case.rate, self._send_clouds)
+
+    def _on_command(self, message: PoseArray) -> None:
+        """Go where the cameras are sent; a command that came before is repeated."""
+        now, stamp = time.monotonic(), stamp_to_ns(message.header.stamp)
+        poses = msg_to_poses(message)
+        self._goal = np.array([[*pose.position, *heading_of(pose.rotation)] for pose in poses])
+        if stamp > self._answered and stamp in self._sent:
+            sent, processor = self._sent[stamp]
+            self.latencies.append((now - sent, processor_of(self.pid) - processor))
+            self.commanded.append(self._goal[:, :3])
+            self._answered = stamp
+
+    def _move(self) -> None:
+        """Move and rotate the cameras, and publish where they are."""
+        now = time.monotonic()
+        way, self._last_move = self._case.speed * (now - self._last_move), now
+        placement, goal, before = self.placement, self._goal, self.placement.copy()
+        placement[:, :2] = towards(placement[:, :2], goal[:, :2], way)
+        placement[:, 2] += np.clip(goal[:, 2] - placement[:, 2], -way, way)
+        placement[:, 3:] = turned_towards(placement[:, 3:], goal[:, 3:], way)
+        self._is_moving = not np.allclose(placement, before, atol=1e-4)
+        metres, radians = NOISE
+        measured = placement + self._rng.normal(0.0, 1.0, placement.shape) * (
+            [metres] * 3 + [radians] * 3)
+        self._poses.publish(positions_to_msg(
+            measured[:, :3], Header(stamp=ns_to_stamp(time.time_ns()), frame_id='map'),
+            measured[:, 3:]))
+
+    def _send_clouds(self) -> None:
+        """Publish a cloud of each camera; while the cameras move, that of before."""
+        for camera, (publisher, pose) in enumerate(zip(self._clouds, self.placement, strict=True)):
+            seen_from, content = self._views[camera]
+            if not content or (not self._is_moving and seen_from != pose.tobytes()):
+                content = bytearray(serialize_message(self._cloud(camera, pose)))
+                self._views[camera] = pose.tobytes(), content
+            stamp = time.time_ns()
+            # The header begins behind four bytes: seconds, then nanoseconds.
+            content[4:12] = np.array(divmod(stamp, 10 ** 9), np.uint32).tobytes()
+            self._sent[stamp] = time.monotonic(), processor_of(self.pid)
+            publisher.publish(bytes(content))
+            self.clouds += 1
+
+    def _cloud(self, camera: int, pose: np.ndarray) -> PointCloud2:
+        """Return a cloud of what a camera sees, with as many points as it has pixels."""
+        simulator = self._problem.simulator
+        seen = simulator.look(pose, camera).seen
+        points = simulator.scene.points[Subset(seen, simulator.visibility.order).mask]
+        width, height = self._case.pixels
+        points = (points - pose[:3]) @ rotation_matrix(*pose[3:])
+        # Every point several times, or some points, evenly.
+        count = width * height
+        points = points[np.arange(count) * len(points) // count]
+        message = cloud_to_msg(points.astype(np.float32), Header(frame_id=f'camera_{camera}'))
+        message.width, message.height = width, height
+        message.row_step = width * message.point_step
+        return message
 
 
-def _hottest(profile: cProfile.Profile) -> list[str]:
-    """Return the functions in which most time was spent, as shares of that of all turns."""
-    stats: Any = vars(pstats.Stats(profile, stream=io.StringIO()))['stats']
-    whole = max((total for (_, _, name), (_, _, _, total, _) in stats.items()
-                 if name == 'on_cloud'), default=1.0)
-    rows = sorted(((total, own, calls, f'{Path(path).stem}.{name}')
-                   for (path, _, name), (_, calls, own, total, _) in stats.items()
-                   if 'ocp_ros' in path and name != 'on_cloud'), reverse=True)
-    return [f'{100 * total / whole:.0f} % {name} ({calls} calls, itself {100 * own / whole:.0f} %)'
-            for total, own, calls, name in rows[:14]]
+def processor_of(pid: int) -> float:
+    """Return the seconds of the processor that all threads of a process have taken."""
+    nanoseconds = 0
+    for path in Path(f'/proc/{pid}/task').glob('*/schedstat') if pid else ():
+        try:
+            nanoseconds += int(path.read_text().split()[0])
+        except OSError:  # The thread has just ended.
+            continue
+    return 1e-9 * nanoseconds
+
+
+def play(case: Case, seed: int, folder: Path, judged: bool = False) -> dict[str, Any]:
+    """
+    Play a room with a node process.
+
+    :param judged: whether to compare the final placement with a search that knows the room.
+    :returns: ``latencies`` of the turns, figures of the clouds, and of the placement.
+    """
+    path = Path(case.rig)
+    if not case.rig.endswith('.yaml'):
+        path = folder / 'rig.yaml'
+        path.write_text(case.rig)
+    settings = SimulationConfig(engine=PROMISING, rig_file=str(path))
+    room = judged_room(str(seed), 0.0, settings, POINTS, 90_000 if judged else POINTS, 0.0,
+                       BY_FILE, 0)
+    start = Episode(room.search_problem, np.random.default_rng(seed),
+                    config=EpisodeConfig()).placement
+    domain, holder = free_domain()
+    processes: list[NodeProcess] = []
+    with holder, Watch(domain) as watch, stopped_at_the_end(processes):
+        rig = MovingRig(room.ray_problem, start, case, context=watch.context)
+        watch.executor.add_node(rig)
+        try:
+            node = NodeProcess('policy_node', domain, folder / f'{seed}.log', {
+                'cloud_topics': ','.join(f'points_{camera}' for camera in range(len(start))),
+                'rig_file': str(path), **case.parameters})
+            processes.append(node)
+            rig.pid = node.process.pid
+            watch.spin_until(lambda: bool(rig.latencies), PATIENCE, 'command', processes, 0.01)
+            began, clouds, processor = time.monotonic(), rig.clouds, processor_of(rig.pid)
+            watch.spin_until(lambda: watch.node.placement is not None, PATIENCE, 'placement',
+                             processes, 0.01)
+            took, memory = time.monotonic() - began, rss_of(rig.pid)
+            processor = processor_of(rig.pid) - processor
+            clouds = rig.clouds - clouds
+            counts = watch.node.diagnostics['policy_node']
+            watch.spin_until(lambda: watch.node.diagnostics['policy_node'] is not counts, PATIENCE,
+                             'last word', processes)
+            turns = watch.node.diagnostics['policy_node']['turns_with_clouds']
+        finally:
+            watch.executor.remove_node(rig)
+            rig.destroy_node()
+    shares = [share_of(text) for text in turns.split(', ')]
+    figures: dict[str, Any] = {
+        'latencies': rig.latencies[:-1], 'turns_with_all_cameras': min(shares),
+        'clouds_per_s_of_a_camera': clouds / took / len(start), 'cores': processor / took,
+        'memory_mb': memory}
+    if judged:
+        final = rig.placement
+        known = plan(room.search_problem, Budget(evaluations=EVALUATIONS)).poses
+        errors = [room.judge(np.asarray(poses))['depth_error'] for poses in (final, known)]
+        figures |= {'error_m': errors[0], 'known_error_m': errors[1],
+                    'ratio': errors[0] / errors[1],
+                    'targets': sum(map(len, rig.commanded)),
+                    'targets_over_furniture': over_furniture(
+                        np.concatenate(rig.commanded), room.judge_scene.points)}
+    return figures
+
+
+def share_of(text: str) -> float:
+    """Return the number behind ``points_0 11/12``."""
+    count, total = text.rsplit(' ', 1)[1].split('/')
+    return int(count) / max(int(total), 1)
+
+
+def over_furniture(targets: np.ndarray, points: np.ndarray) -> int:
+    """Return how many of T targets (T, 3) have points (N, 3) under them, above the floor."""
+    floor = np.percentile(points[:, 2], 1)
+    inside = points[(points[:, 2] > floor + 0.15) & (points[:, 2] < targets[0, 2] - 0.1), :2]
+    return sum(bool((np.linalg.norm(inside - target[:2], axis=1) < 0.05).any())
+               for target in targets)
+
+
+def percentiles(played: list[dict[str, Any]]) -> dict[str, Any]:
+    """Return the median and the 99th percentile of all turns of some rooms."""
+    seconds = np.array([row for room in played for row in room['latencies']])
+    wall, processor = np.round(np.percentile(seconds, [50, 99], axis=0), 3).T.tolist()
+    return {'wall_s': wall, 'processor_s': processor, 'turns': len(seconds)}
+
+
+def rounded(played: list[dict[str, Any]], names: Iterable[str]) -> list[dict[str, float]]:
+    """Return some figures of each room."""
+    return [{name: round(float(room[name]), 3) for name in names} for room in played]
+
+
+def latency_cases(rooms: int) -> dict[str, Case]:
+    """Return the cases of :func:`percentiles` by name."""
+    rigs = {'around': AROUND.format(4), 'four_d455': 'config/rig/four_d455.yaml'}
+    speeds = {'faster_than_thinking': (3.0, {}), 'slower_than_thinking': (0.3, {}),
+              'faster_and_waiting_for_plans': (3.0, {'think_seconds': 0.0})}
+    return {f'{rig}.{name}': Case(text, VALIDATION[:rooms], speed, parameters=parameters)
+            for rig, text in rigs.items() for name, (speed, parameters) in speeds.items()}
+
+
+def cloud_cases() -> dict[str, Case]:
+    """Return the cases of big clouds by name."""
+    return {f'{width}x{height}.{rate}': Case(
+        AROUND.format(6), VALIDATION[:1], 1.0, (width, height), rate, {'turns': 6})
+        for width, height in ((640, 480), (1280, 720)) for rate in (5, 15)}
 
 
 def cpu_of(pids: Iterable[int]) -> float:
@@ -242,8 +350,13 @@ def training(pairs: int, seconds: float, out: Path) -> dict[str, Any]:
 
 def parser() -> argparse.ArgumentParser:
     """Build the parser."""
-    top = argparse.ArgumentParser(prog='node_bench', description=__doc__)
-    top.add_argument('--rooms', type=int, default=4, help='episodes per planner and size')
+    top = argparse.ArgumentParser(prog='node_bench', description=__doc__,
+                                  formatter_class=argparse.RawDescriptionHelpFormatter)
+    top.add_argument('--parts', nargs='*', default=('latency', 'clouds', 'rooms'),
+                     choices=('latency', 'clouds', 'rooms'), help='what to measure; with --record '
+                     'the figures of other parts stay')
+    top.add_argument('--rooms', type=int, default=2, help='for each case of latency')
+    top.add_argument('--judged', type=int, default=3, help='rooms whose placements are judged')
     top.add_argument('--pairs', type=int, nargs='+', default=PAIRS,
                      help='of sim and policy, to measure training with')
     top.add_argument('--seconds', type=float, default=60.0,
@@ -257,46 +370,47 @@ def main(args: list[str] | None = None) -> int:
     options = parser().parse_args(args)
     end_on_signals()
     os.environ.update(LOCALHOST_ENVIRONMENT)
-    turns, learned = [], []
-    if options.rooms:
-        domain, holder = free_domain()
-        with holder, Watch(domain) as watch:
-            cases = [(*played, '', points) for played in PLAYED for points in POINTS]
-            cases += [(planner, PolicyNodeConfig.model, RIG, POINTS[0]) for planner in PLANNERS]
-            for case in track(cases, 'turns', console=Console(stderr=True)):
-                turns.append(latency(watch, *case, options.rooms))
-                print(json.dumps(turns[-1]), flush=True)
-    if options.seconds:
-        with tempfile.TemporaryDirectory() as folder:
+    found: dict[str, Any] = {}
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        if 'latency' in options.parts:
+            found['value'] = {}
+            for case_name, case in latency_cases(options.rooms).items():
+                found['value'][case_name] = percentiles(
+                    [play(case, seed, folder) for seed in case.rooms])
+                print(case_name, found['value'][case_name], flush=True)
+        if 'clouds' in options.parts:
+            found['clouds'] = {}
+            for case_name, case in cloud_cases().items():
+                (found['clouds'][case_name],) = rounded(
+                    [play(case, seed, folder) for seed in case.rooms],
+                    ('turns_with_all_cameras', 'clouds_per_s_of_a_camera', 'cores', 'memory_mb'))
+                print(case_name, found['clouds'][case_name], flush=True)
+        if 'rooms' in options.parts:
+            case = Case(AROUND.format(4), VALIDATION[:options.judged], 1.0, (640, 480), 5.0)
+            found['rooms'] = rounded(
+                [play(case, seed, folder, judged=True) for seed in case.rooms],
+                ('error_m', 'known_error_m', 'ratio', 'targets', 'targets_over_furniture',
+                 'turns_with_all_cameras'))
+            print(json.dumps(found['rooms']), flush=True)
+        if options.seconds:
+            found['training'] = []
             for pairs in options.pairs:
-                learned.append(training(pairs, options.seconds, Path(folder) / str(pairs)))
-                print(json.dumps(learned[-1]), flush=True)
+                found['training'].append(training(pairs, options.seconds, folder / str(pairs)))
+                print(json.dumps(found['training'][-1]), flush=True)
     if options.record:
+        path = results.FOLDER / 'nodes.json'
+        before = json.loads(path.read_text()) if path.exists() else {}
+        # The stamp is that of the newest part.
+        kept = {key: before[key] for key in ('value', 'clouds', 'rooms', 'training')
+                if key in before}
         results.write('nodes', {
-            'unit': 'ms from a received cloud to the published command, median and 99 %',
-            **published(turns), 'training': learned, 'load_average': os.getloadavg()[1],
-            'cores': cores()}, results.command_of('drills.node_bench', args))
+            'unit': 'seconds from the newest cloud to the command, median and 99 %; turns of '
+                    f'{LIVE_DEFAULTS["max_step"]} m',
+            **kept, **found, 'load_average': os.getloadavg()[1], 'cores': cores()},
+            results.command_of('drills.node_bench', args))
     return 0
 
 
-def published(turns: list[dict[str, Any]]) -> dict[str, Any]:
-    """
-    Return the figures of :func:`latency` as the documentation shows them.
-
-    :returns: ``value``, by planner and case; ``thought_meanwhile_ms``, median, 99th percentile and
-        maximum of the default planner's plans, which are made while the cameras move.
-    """
-    value: dict[str, dict[str, list[float]]] = {}
-    thought: dict[str, list[float]] = {}
-    for row in turns:
-        case = 'rig_of_four_d455' if row['rig'] else f'points_{row["points"]}'
-        value.setdefault(row['planner'], {})[f'{case}_ms'] = [
-            round(row[f'{name}_ms'], 1) for name in ('p50', 'p99')]
-        if row['planner'] == PolicyNodeConfig.planner and row['points'] == POINTS[0]:
-            thought['rig_of_four_d455' if row['rig'] else 'without_rig'] = [
-                round(row[f'{name}_thought_ms']) for name in ('p50', 'p99', 'max')]
-    return {'value': value, 'thought_meanwhile_ms': thought}
-
-
 if __name__ == '__main__':
-    sys.exit(main())
+    raise SystemExit(main())
