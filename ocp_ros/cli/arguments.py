@@ -70,6 +70,11 @@ def read_seconds(text: str) -> float:
     return read_number(text, 'seconds above 0', lambda value: 0.0 < value < math.inf)
 
 
+def read_distance(text: str) -> float:
+    """Read a distance in metres, above 0 and below a kilometre."""
+    return read_number(text, 'metres above 0', lambda value: 0.0 < value < 1000.0)
+
+
 def read_share(text: str) -> float:
     """Read a share, above 0 and at most 1."""
     return read_number(text, 'a share above 0, at most 1', lambda value: 0.0 < value <= 1.0)

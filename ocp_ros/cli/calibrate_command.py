@@ -24,8 +24,8 @@ from ocp_ros.cli.arguments import (
     add_overwrite,
     add_placement,
     add_reading,
+    read_distance,
     read_frame_prefix,
-    read_number,
     room_asked,
 )
 from ocp_ros.cli.common import (
@@ -71,6 +71,8 @@ def add_arguments(commands: Commands) -> None:
     command.add_argument('--distance', nargs='+', default=(), metavar='CAMERA:OTHER=METRES',
                          help='measured distances between two cameras, from the middle of one to '
                          'that of the other, to 5 mm')
+    command.add_argument('--near', type=read_distance, metavar='METRES', help='how far cameras '
+                         'are from their poses in PLACEMENT at most; default: 1.6')
     command.add_argument('--topics', nargs='+', default=(), metavar='CAMERA=TOPIC',
                          help='topics of the bag; default: the topics whose names contain the '
                          'names of the cameras, otherwise all topics in their order')
@@ -130,7 +132,8 @@ def run(arguments: argparse.Namespace) -> Found:
         # A generated room has this number of points; 0 stands for all points of a scan.
         points = 120_000 if arguments.room.isdecimal() else 0
         scene, _ = room_asked(arguments, {**placement.room, 'points': points})
-        found = by_scan(scene, placement, clouds, command, measured)
+        near = {'near': arguments.near} if arguments.near else {}
+        found = by_scan(scene, placement, clouds, command, measured, **near)
     rows = found.rows
     result: Found = {'cameras': rows, 'written': []}
     # Write the files, without refused cameras except for the placement.
@@ -159,16 +162,12 @@ def _distances(texts: Sequence[str], names: Iterable[str]) -> dict[tuple[str, st
         pair, value = _split_pair(text, '--distance', 'METRES')
         camera, _, other = pair.partition(':')
         check_known([camera, other], names, '--distance, cameras')
-        found[camera, other] = _metres(value)
+        try:
+            found[camera, other] = read_distance(value)
+        except argparse.ArgumentTypeError as error:
+            raise ConfigurationError(f'--distance: {error}; write, for example, a:b=1.82'
+                                     ) from error
     return found
-
-
-def _metres(text: str) -> float:
-    """Read a distance in metres, above 0."""
-    try:
-        return read_number(text, 'metres above 0', lambda value: 0.0 < value < 1e3)
-    except argparse.ArgumentTypeError as error:
-        raise ConfigurationError(f'--distance: {error}; write, for example, a:b=1.82') from error
 
 
 def _check_mode(arguments: argparse.Namespace) -> None:

@@ -18,6 +18,7 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from copy import deepcopy
 from dataclasses import replace
+from functools import partial
 import logging
 from typing import Any, NamedTuple
 
@@ -33,6 +34,7 @@ from ocp_ros.geometry.cameras import (
 from ocp_ros.geometry.clouds import voxel_downsample
 from ocp_ros.registration.alignment import Certainty
 from ocp_ros.registration.camera_registration import (
+    FARTHEST_M,
     register,
     register_together,
     registered_nearby,
@@ -72,8 +74,8 @@ _log = logging.getLogger(__name__)
 
 
 def calibrate(scan: ScanSurfaces, placement: Placement, clouds: Mapping[str, np.ndarray],
-              jointly: bool = True, measured: Mapping[tuple[str, str], float] | None = None
-              ) -> tuple[dict[str, Registration], dict[str, str]]:
+              jointly: bool = True, measured: Mapping[tuple[str, str], float] | None = None,
+              near: float = FARTHEST_M) -> tuple[dict[str, Registration], dict[str, str]]:
     """
     Register each camera that has a cloud, starting at its pose in the placement.
 
@@ -83,9 +85,11 @@ def calibrate(scan: ScanSurfaces, placement: Placement, clouds: Mapping[str, np.
         see :func:`~ocp_ros.registration.steady_cloud.steady_cloud`.
     :param jointly: whether cameras are registered to each other as well.
     :param measured: measured distances between two cameras, metres, by their names.
+    :param near: how far a camera is from its pose in the placement at most, metres.
     :returns: the registrations, and for unusable clouds the reasons, both by the camera's name.
     """
-    registrations, reasons = _for_each_camera(register, scan, placement, clouds)
+    registrations, reasons = _for_each_camera(
+        partial(register, near=near), scan, placement, clouds)
     found, used = _with_other_setups(scan, placement, clouds, registrations)
     if jointly:
         models = {one.camera.name: one.camera.model for one in placement.cameras}
@@ -195,13 +199,15 @@ class Calibrated(NamedTuple):
 
 
 def by_scan(scene: Scene, placement: Placement, clouds: Mapping[str, np.ndarray], command: str,
-            measured: Mapping[tuple[str, str], float] | None = None) -> Calibrated:
+            measured: Mapping[tuple[str, str], float] | None = None, near: float = FARTHEST_M
+            ) -> Calibrated:
     """
     Register cameras to a scan and to each other; see :func:`calibrate`.
 
     :param command: the command line, for the record.
     """
-    found, failures = calibrate(ScanSurfaces(scene), placement, clouds, measured=measured)
+    found, failures = calibrate(ScanSurfaces(scene), placement, clouds, measured=measured,
+                                near=near)
     rows = [answer_of(placed, found[name]) if (name := placed.camera.name) in found else
             {'camera': name, 'refused': failures.get(name, 'it has no cloud')}
             for placed in placement.cameras]

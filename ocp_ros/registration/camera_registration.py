@@ -69,6 +69,8 @@ FINEST_STAGE = AlignmentStage((0.04, 0.03), (2.0, 0.7), 16)
 DISTINCT_POSE_LIMITS = (0.10, np.deg2rad(4.0))
 #: Metres: the largest distance of a point to the nearest point of its surface.
 MAX_MATCH_DISTANCE_M = 0.15
+#: Metres: the largest distance of a pose from its start.
+FARTHEST_M = 1.6
 #: How many agreements a contradiction outweighs, see :func:`agreement`.
 CONTRADICTION_WEIGHT = 3.0
 ALL = slice(None)
@@ -141,7 +143,8 @@ class Registration(NamedTuple):
                                        or self.violated_share > LIMITS.max_violated)
 
 
-def register(scan: ScanSurfaces, view: LiveView, start: Pose, model: CameraModel) -> Registration:
+def register(scan: ScanSurfaces, view: LiveView, start: Pose, model: CameraModel,
+             near: float = FARTHEST_M) -> Registration:
     """
     Find the pose of a camera.
 
@@ -149,12 +152,19 @@ def register(scan: ScanSurfaces, view: LiveView, start: Pose, model: CameraModel
     :param view: the cloud of the camera.
     :param start: the planned pose, accurate to about a metre and 30 degrees.
     :param model: the model of the camera.
+    :param near: how far the pose is from the start at most, metres.
     :returns: the pose and its quality; the pose may be refused.
     """
-    poses = [_refined(scan, view, pose, model) for pose in _distinct_poses(scan, view, start)]
+    poses = [_refined(scan, view, pose, model)
+             for pose in _distinct_poses(scan, view, start, near)]
     scores = [_score(scan, view, pose) for pose in poses]
     best = int(np.argmax(scores))
     answer = _evaluated(scan, view, poses[best], model)
+    metres = answer.pose.away_from(start)[0]
+    # Refinement moves a pose by a few centimetres.
+    if not answer.refused and metres > near + 0.1:
+        return answer._replace(refused=f'the best pose is {metres:.2f} m from that in the '
+                               f'placement, at most {near:.2f} m may be; correct the placement')
     alternatives = [k for k, pose in enumerate(poses)
                     if scores[k] > scores[best] - LIMITS.min_lead
                     and differ(pose, poses[best])]
@@ -353,7 +363,7 @@ def _explained_shares(surfaces: Surfaces, patches: Patches, poses: Poses, kernel
     return (weight * patches.deviation ** 2).mean(axis=1)
 
 
-def _distinct_poses(scan: ScanSurfaces, view: LiveView, start: Pose) -> list[Pose]:
+def _distinct_poses(scan: ScanSurfaces, view: LiveView, start: Pose, near: float) -> list[Pose]:
     """
     Return up to three distinct poses around a start that best explain the cloud.
 
@@ -366,8 +376,8 @@ def _distinct_poses(scan: ScanSurfaces, view: LiveView, start: Pose) -> list[Pos
     distinct: list[Pose] = []
     for k in np.argsort(-scores, kind='stable'):
         pose = Pose(poses.positions[k], poses.rotations[k])
-        # At most 1.6 m and 45 degrees from the start, and less than 0.2 worse than the best score.
-        if (not differ(pose, start, (1.6, np.deg2rad(45.0))) and scores[k] > scores.max() - 0.2
+        # At most 45 degrees from the start, and less than 0.2 worse than the best score.
+        if (not differ(pose, start, (near, np.deg2rad(45.0))) and scores[k] > scores.max() - 0.2
                 and len(distinct) < 3 and all(differ(pose, other) for other in distinct)):
             distinct.append(pose)
     return distinct or [start]

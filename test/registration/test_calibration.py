@@ -94,6 +94,12 @@ def test_a_camera_is_found_from_far_off(scan, view):
     assert found.certainty.metres[0] > 0.3 * found.pose.away_from(TRUE)[0]
 
 
+def test_a_camera_is_not_looked_for_farther_off_than_asked(scan, view):
+    start = off(TRUE, 0.9, 25.0, np.random.default_rng(1))
+    found = register(scan, view, start, MODEL, near=0.4)
+    assert found.refused or found.pose.away_from(start)[0] <= 0.5
+
+
 @pytest.mark.parametrize('roll, axes, words', [
     (np.pi, np.eye(3), 'upside down'), (0.5 * np.pi, np.eye(3), 'on its side'),
     (0.0, OPTICAL_TO_BODY, '--cloud-frame optical'), (0.0, TO_BODY['opengl'], 'opengl')])
