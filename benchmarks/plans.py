@@ -60,7 +60,7 @@ RIGS = ('d455_walls', 'd455_stands', 'all_round_stands')
 EVALUATIONS, TRUE_POINTS = 2000, 15_000
 #: Many cameras on the ceiling, few evaluations, the planners that are compared, and points.
 CROWDS, BUDGETS, CROWD_PLANNERS, CROWD_POINTS = (
-    (10, 16, 32), (50, 200, 500), ('rig_search', 'greedy_error', 'random'), 15_000)
+    (10, 32), (50, 500), ('rig_search', 'greedy_error', 'random'), 10_000)
 #: Evaluations of a hill climb, its first and last step in metres, and radians for each metre.
 CLIMBED, FAR, NEAR, TURN = 5000, 0.1, 0.005, 0.5
 #: Evaluations of a plan in half a scan, random halves of a scan, and scans that are none.
