@@ -124,10 +124,10 @@ SENTENCES = [
      'ladder/rows/augmented_180000_1/{key}', 'ratio interactions'),
     (ROBUSTNESS, '{} malformed messages among {} valid', 'drills/fuzz/{key}',
      'messages good_messages_answered'),
-    (ROBUSTNESS, '{} turns, {} nodes killed, {} malformed messages', 'drills/soak/value/{key}',
-     'turns kills malformed_messages'),
-    (ROBUSTNESS, '{} s (median), {} s at most; memory grew by {} MB', 'drills/soak/value/{key}',
-     'back_after_a_kill_s_median back_after_a_kill_s_most trainer_memory_growth_mb'),
+    (ROBUSTNESS, '{} turns, {} nodes killed, {} malformed messages', 'drills/soak/{key}',
+     'turns restarts_survived malformed_messages_sent'),
+    (ROBUSTNESS, '{} s (median), {} s at most; memory grew by {} MB', 'drills/soak/{key}',
+     'recovery_seconds_p50 recovery_seconds_max rss_growth_mb'),
     (ROBUSTNESS, '{} inputs', 'drills/inputs/value/{key}', 'inputs_tried')]
 
 
