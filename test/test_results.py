@@ -128,7 +128,8 @@ SENTENCES = [
      'turns restarts_survived malformed_messages_sent'),
     (ROBUSTNESS, '{} s (median), {} s at most; memory grew by {} MB', 'drills/soak/{key}',
      'recovery_seconds_p50 recovery_seconds_max rss_growth_mb'),
-    (ROBUSTNESS, '{} inputs', 'drills/inputs/value/{key}', 'inputs_tried')]
+    (ROBUSTNESS, '{} files with random errors: {} read, {} rejected', 'drills/file_fuzz/{key}',
+     'mutations read refused')]
 
 
 @cache
