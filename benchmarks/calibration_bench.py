@@ -131,7 +131,7 @@ def _alike(shape: tuple[int, int], rng: np.random.Generator) -> np.ndarray:
 
 
 #: (pose, sensor, frames, people, rng) -> frames of points (M, 3) in the body frame.
-See = Callable[[Pose, str, int, int, np.random.Generator], list[np.ndarray]]
+See = Callable[..., list[np.ndarray]]
 
 
 class BenchRoom(NamedTuple):
