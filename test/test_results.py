@@ -52,7 +52,10 @@ TABLES = [
               for key in ('ratio', 'interval/0', 'interval/1', 'won'))),
     (RESULTS, '| scan |',
      'tripod.realsense tripod.azure hand.realsense hand.azure real.realsense real.azure',
-     'calibration/shares/{row}.30cm.{key}', 'within_1cm_05deg refused wrong'),
+     'calibration/shares/{row}.{key}', 'alone.right alone.refused alone.wrong together.right '
+     'together.refused together.wrong'),
+    (RESULTS, '| without a scan', 'none.realsense none.azure', 'calibration/shares/{row}.{key}',
+     'mutual.right mutual.refused mutual.wrong moved.right still.right'),
     (RESULTS, '| rig | plan', 'd455_walls d455_stands all_round_stands',
      'measure/plans/rigs/{row}/{key}', 'plan_over_lookahead plan_over_lookahead_worst '
      'plan_over_truth expected_mean promise_coverage certificate_gap'),
