@@ -22,6 +22,7 @@ that differ. Memory after the first fifth of the repetitions is compared with th
 
 import argparse
 from collections.abc import Iterator, Sequence
+import ctypes
 import gc
 import json
 import os
@@ -111,15 +112,17 @@ def memory_of(repetitions: Iterator[None], count: int, name: str) -> dict[str, f
     """
     Repeat something, and return how much more memory this process holds at the end, MB.
 
-    Medians of a fifth of the repetitions are compared: the second and the last. What Python could
-    free is not counted.
+    Medians of a fifth of the repetitions are compared: the second and the last. What could be
+    freed is not counted.
     """
     began = time.monotonic()
     held = np.empty(count)
     for number, _ in enumerate(track(repetitions, name, total=count,
                                      console=Console(stderr=True))):
-        # Pages and their clients refer to each other: Python frees them late by itself.
+        # Pages and their clients refer to each other: Python frees them late by itself, and the
+        # allocator keeps what is freed.
         gc.collect()
+        ctypes.CDLL(None).malloc_trim(0)
         held[number] = rss_of(os.getpid())
     fifth = max(count // 5, 1)
     first, last = (float(np.median(part)) for part in (held[fifth:2 * fifth], held[-fifth:]))
