@@ -132,7 +132,10 @@ SENTENCES = [
     (ROBUSTNESS, '{} s (median), {} s at most; memory grew by {} MB', 'drills/soak/{key}',
      'recovery_seconds_p50 recovery_seconds_max rss_growth_mb'),
     (ROBUSTNESS, '{} files with random errors: {} read, {} rejected', 'drills/file_fuzz/{key}',
-     'mutations read refused')]
+     'mutations read refused'),
+    (ROBUSTNESS, '{} sessions of the studio and {} plans: memory grew by {} and {} MB',
+     'drills/one_process/{key}', 'sessions/repetitions plans/repetitions '
+     'sessions/memory_growth_mb plans/memory_growth_mb')]
 
 
 @cache
