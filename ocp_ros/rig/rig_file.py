@@ -172,6 +172,16 @@ class Requirement(NamedTuple):
         return QualityLimits.of(model, self.pixel_density, self.max_noise, self.incidence)
 
     @property
+    def searched_share(self) -> float:
+        """
+        Return the share that a search aims at.
+
+        A tenth more than is asked for, at most half of what lies between it and 1: the engine
+        promises up to a tenth more than rays at the mesh deliver.
+        """
+        return min(1.1 * self.share, 0.5 * (1.0 + self.share))
+
+    @property
     def cameras(self) -> int:
         """Return the least number of cameras with which the requirement can be met."""
         return self.sight.seen_by + self.one_may_fail

@@ -254,7 +254,7 @@ class Objective:
             costs = np.zeros(self.simulator.row_count)
             costs[count * (k + 1):][:count] = (
                 MUST_SEE_COST * unpack(bits, count) / count_bits(bits))
-            yield costs, MUST_SEE_COST * (1.0 - requirement.share)
+            yield costs, MUST_SEE_COST * (1.0 - requirement.searched_share)
 
     def look(self, poses: np.ndarray) -> list[View]:
         """
@@ -351,7 +351,7 @@ class Objective:
             steps = self._met_shares(k, views)
             met[k] = steps[-1]
             # With fewer cameras more points meet it, so this is 0 only if it is met.
-            loss += MUST_SEE_COST * np.maximum(requirement.share - steps, 0.0).mean()
+            loss += MUST_SEE_COST * np.maximum(requirement.searched_share - steps, 0.0).mean()
         return float(loss), error, shares, met
 
     def _met_shares(self, number: int, views: Sequence[View]) -> np.ndarray:
