@@ -12,12 +12,22 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Floors of buildings: rooms on both sides of a corridor, with doors and furniture."""
+"""
+Floors of buildings: rooms on both sides of a corridor, with doors and furniture.
 
+What ``ocp plan`` needs for floors of three sizes with a camera for each 12 m2, and what it proves:
+
+    python -m benchmarks.floors --record
+"""
+
+import argparse
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple
+import time
+from typing import Any, NamedTuple
 
+from benchmarks import results
 import numpy as np
+import ocp_ros
 from ocp_ros.scenes.meshes import sample_faces
 from ocp_ros.scenes.scene import Mesh, Scene
 from ocp_ros.scenes.scene_files import scene_of
@@ -129,3 +139,40 @@ def scan_of(floor: Floor, points: int, **reading) -> Scene:
     sampled = sample_faces(mesh_of(floor).corners, points)[:, :3]
     return scene_of(sampled + np.random.default_rng(0).normal(0.0, 0.004, sampled.shape),
                     name='floor', **reading)
+
+
+def planned(rooms: int, cameras: int, seconds: float) -> dict[str, Any]:
+    """Plan D455 on the walls of a floor with a number of rooms on either side of the corridor."""
+    floor = along_corridor([[3.4] * rooms] * 2)
+    area = float(np.prod(floor.rooms[:, 1] - floor.rooms[:, 0], axis=1).sum())
+    begin, used = time.perf_counter(), time.process_time()
+    found = ocp_ros.plan(scan_of(floor, int(300 * area)), cameras=cameras, sensor='d455',
+                         seconds=seconds)
+    scores = found.assessment.found['scores']
+    return {'area_m2': round(area), 'rooms': len(floor.rooms), 'cameras': cameras,
+            'rooms_found': len(scores['rooms']),
+            'rooms_without_a_camera': sum(room['cameras'] == 0 for room in scores['rooms']),
+            'seen': round(found.seen, 3),
+            'least_seen_in_a_room': round(min(room['seen'] for room in scores['rooms']), 3),
+            'gap': found.gap and round(found.gap, 4),
+            'seconds': round(time.perf_counter() - begin, 1),
+            'processor_s': round(time.process_time() - used, 1)}
+
+
+def main(argv: Sequence[str] | None = None) -> None:
+    """Run."""
+    parser = argparse.ArgumentParser(prog='floors', description=__doc__)
+    parser.add_argument('--seconds', type=float, default=90.0, help='of each search')
+    results.add_record(parser, 'floors')
+    arguments = parser.parse_args(argv)
+    rows = {}
+    for rooms, cameras in ((2, 6), (4, 12), (8, 24)):
+        rows[str(cameras)] = planned(rooms, cameras, arguments.seconds)
+        print(rows[str(cameras)], flush=True)
+    if arguments.record:
+        results.write('floors', {'search_seconds': arguments.seconds, 'floors': rows},
+                      results.command_of('floors', argv))
+
+
+if __name__ == '__main__':
+    main()

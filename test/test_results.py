@@ -66,7 +66,10 @@ TABLES = [
     (RESULTS, '| pixels, clouds per second', '640x480.5 640x480.15 1280x720.5 1280x720.15',
      'nodes/clouds/{row}/{key}',
      'clouds_per_s_of_a_camera turns_with_all_cameras cores memory_mb'),
-    (RESULTS, '| requirement', 'depth_4mm_incidence_75 two_from_30_degrees one_may_fail',
+    (RESULTS, '| area', '6 12 24', 'floors/floors/{row}/{key}',
+     'rooms cameras seen least_seen_in_a_room gap seconds processor_s'),
+    (RESULTS, '| requirement',
+     'recognise depth_15mm depth_4mm_incidence_75 two_from_30_degrees one_may_fail',
      'requirements/requirements/{row}/{key}',
      'asked promised_met met clear_verdict_right clear_verdicts delivered_over_promised'),
     (MODELS, '| repairs', 'literal_60000_0 critics_60000_0 updates_60000_0 blocks_60000_0 '
