@@ -311,7 +311,8 @@ def test_the_status_tells_how_cameras_move_until_they_are_final(robot, monkeypat
     assert robot.last(topics.PLACEMENT_STATUS).data.startswith('final after 2 turns')
     robot.publisher(Float64MultiArray, topics.REWARD, qos.LOOP).publish(fields_to_msg({
         'stamp_sec': 0, 'stamp_nanosec': 4, 'episode': 5, 'step': 0, 'truncated': False}))
-    robot.until_status('not final: turn 0 of 2')
+    robot.turn(4)
+    robot.until_status('turn 1 of 2')
 
 
 def test_what_cannot_be_changed_is_refused_with_a_reason(graph, change):
