@@ -33,7 +33,6 @@ from ocp_ros.geometry.engine_config import PROMISING
 from ocp_ros.geometry.shadow_maps import in_reach
 from ocp_ros.rig.rig_file import rig_of
 from ocp_ros.rooms.generator import generate_room, stations_of
-from ocp_ros.rooms.room_sets import SETS
 from ocp_ros.scenes.meshes import MeshRays
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.simulation.problem import Problem
@@ -89,12 +88,11 @@ def rows_of(seeds: list[int]) -> Iterator[dict]:
 def main(argv: list[str] | None = None) -> None:
     """Run."""
     parser = argparse.ArgumentParser(prog='false_visibility', description=__doc__)
-    parser.add_argument('--set', choices=tuple(SETS), default='test', help='of rooms')
-    parser.add_argument('--rooms', type=int, default=10, help='how many of them')
+    results.add_rooms(parser)
     results.add_record(parser, 'false_visibility')
     options = parser.parse_args(argv)
     rows = []
-    for row in rows_of(list(SETS[options.set])[:options.rooms]):
+    for row in rows_of(results.rooms_of(options)):
         print(row, flush=True)
         rows.append(row)
     means = {name: {key: round(float(np.mean([row[key] for row in rows if row['views'] == name])),

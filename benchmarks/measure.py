@@ -38,7 +38,6 @@ from ocp_ros.rig.motion import mounted, MountingErrors
 from ocp_ros.rig.rig_file import Rig, rig_of
 from ocp_ros.rig.structure import Air
 from ocp_ros.rooms.generator import generate_room
-from ocp_ros.rooms.room_sets import SETS
 from ocp_ros.scenes.meshes import sample_faces
 from ocp_ros.scenes.scene import Scene, turned
 from ocp_ros.scenes.scene_files import scene_of
@@ -199,11 +198,10 @@ def measured(seeds: list[int]) -> dict:
 def main(argv: list[str] | None = None) -> None:
     """Run."""
     parser = argparse.ArgumentParser(prog='measure', description=__doc__)
-    parser.add_argument('--set', choices=tuple(SETS), default='test', help='of rooms')
-    parser.add_argument('--rooms', type=int, default=10, help='how many of them')
+    results.add_rooms(parser)
     results.add_record(parser, 'measure')
     options = parser.parse_args(argv)
-    found = measured(list(SETS[options.set])[:options.rooms])
+    found = measured(results.rooms_of(options))
     print(found)
     if options.record:
         results.write('measure', found, results.command_of('measure', argv))

@@ -41,7 +41,6 @@ from ocp_ros.report.findings import expected
 from ocp_ros.rig.motion import mounted
 from ocp_ros.rig.rig_file import rig_of
 from ocp_ros.rooms.generator import generate_room
-from ocp_ros.rooms.room_sets import SETS
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.scenes.scene_files import load_scene, READERS
 from ocp_ros.search.budget import Budget
@@ -208,8 +207,7 @@ def summary_of(rows: list[dict]) -> dict:
 def main(argv: list[str] | None = None) -> None:
     """Run."""
     parser = argparse.ArgumentParser(prog='plans', description=__doc__)
-    parser.add_argument('--set', choices=tuple(SETS), default='test', help='of rooms')
-    parser.add_argument('--rooms', type=int, default=10, help='how many of them')
+    results.add_rooms(parser)
     parser.add_argument('--workers', type=int, default=2, help='processes')
     parser.add_argument('--out', type=Path, default=Path('out/plans.jsonl'),
                         help='rows that were found, with which it goes on')
@@ -222,7 +220,7 @@ def main(argv: list[str] | None = None) -> None:
     keys, job = (('room', 'cameras', 'evaluations'), crowded) if options.crowds else (
         ('room', 'rig'), judged)
     known = {tuple(row[key] for key in keys): row for row in map(json.loads, lines)}
-    rooms = list(SETS[options.set])[:options.rooms]
+    rooms = results.rooms_of(options)
     wanted = list(product(rooms, CROWDS, BUDGETS) if options.crowds else product(rooms, RIGS))
     done = 'rig_search' if options.crowds else 'delivered'
     rows = [known[task] for task in wanted if done in known.get(task, ())]

@@ -24,6 +24,7 @@ import subprocess
 import sys
 from typing import Any
 
+from ocp_ros.rooms.room_sets import SETS
 from ocp_ros.util.files import write_atomically
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -58,6 +59,17 @@ def write(name: str, figures: Mapping[str, Any], command: str, part: str = '') -
         content = {**json.loads(path.read_bytes()), part: content}
     write_atomically(path, json.dumps(content, indent=1, ensure_ascii=False) + '\n')
     print(f'wrote {path}')
+
+
+def add_rooms(parser: argparse.ArgumentParser) -> None:
+    """Add which generated rooms are measured; see :func:`rooms_of`."""
+    parser.add_argument('--set', choices=tuple(SETS), default='test', help='of rooms')
+    parser.add_argument('--rooms', type=int, default=10, help='how many of them')
+
+
+def rooms_of(options: argparse.Namespace) -> list[int]:
+    """Return the seeds of the rooms that a command line names."""
+    return list(SETS[options.set])[:options.rooms]
 
 
 def add_record(parser: argparse.ArgumentParser, name: str) -> None:

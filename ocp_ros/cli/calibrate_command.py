@@ -258,6 +258,7 @@ def clouds_of(arguments: argparse.Namespace, names: Sequence[str] | None
 
 def _frames_in(path: Path) -> list[Path]:
     """Return up to 30 files of a folder, spread evenly in the order of their names; or a file."""
+    from ocp_ros.geometry.clouds import evenly
     from ocp_ros.registration.steady_cloud import MAX_FRAMES
     if not path.is_dir():
         return [path]
@@ -265,8 +266,7 @@ def _frames_in(path: Path) -> list[Path]:
     if not files:
         raise ConfigurationError(f'{path}: found no file in this folder; expected frames of a '
                                  'camera, one a file; name another folder')
-    count = min(len(files), MAX_FRAMES)
-    return [files[k * len(files) // count] for k in range(count)]
+    return [files[k] for k in evenly(len(files), MAX_FRAMES)]
 
 
 def _split_pair(text: str, option: str, kind: str) -> tuple[str, str]:

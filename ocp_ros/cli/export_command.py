@@ -58,10 +58,10 @@ def add_arguments(commands: Commands) -> None:
 def run(arguments: argparse.Namespace) -> Found:
     """Write the files of a placement, and return their paths."""
     from ocp_ros.formats.exported import Exported
-    from ocp_ros.formats.exports import export, FORMATS, formats_named, MARK, WRITTEN
+    from ocp_ros.formats.exports import export_to, FORMATS, formats_named, MARK, WRITTEN
     from ocp_ros.rig.placement_file import data_of, load_placement
     from ocp_ros.rig.rig_file import load_rig
-    from ocp_ros.util.files import file_set, folder_to_write
+    from ocp_ros.util.files import folder_to_write
     formats = formats_named(arguments.to, '--to')
     claim_folder(arguments, arguments.out, WRITTEN, MARK)
     placement = load_placement(arguments.placement,
@@ -72,10 +72,8 @@ def run(arguments: argparse.Namespace) -> Found:
         assessed = _assessed(arguments, placement)
         placement = assessed.placement
     folder = folder_to_write(arguments.out)
-    with file_set(folder, WRITTEN, MARK) as unfinished:
-        exported = Exported(placement, arguments.frame_prefix, assessed=assessed)
-        return {'cameras': data_of(placement)['cameras'],
-                **export(unfinished, exported, formats)}
+    exported = Exported(placement, arguments.frame_prefix, assessed=assessed)
+    return {'cameras': data_of(placement)['cameras'], **export_to(folder, exported, formats)}
 
 
 def _assessed(arguments: argparse.Namespace, placement: 'Placement') -> 'Assessment':

@@ -50,9 +50,9 @@ def add_arguments(commands: Commands) -> None:
 def run(arguments: argparse.Namespace) -> Found:
     """Evaluate a placement, write its files if ``--out`` is given, and return the findings."""
     from ocp_ros.formats.exported import Exported
-    from ocp_ros.formats.exports import export, formats_named, MARK, WRITTEN
+    from ocp_ros.formats.exports import export_to, formats_named, MARK, WRITTEN
     from ocp_ros.report.assessment import assess
-    from ocp_ros.util.files import file_set, folder_to_write
+    from ocp_ros.util.files import folder_to_write
     formats = formats_named(arguments.export, '--export')
     if arguments.out:
         need('ocp score --out', 'plotly')
@@ -66,8 +66,7 @@ def run(arguments: argparse.Namespace) -> Found:
     if folder is None:
         return assessed.found
     exported = Exported(assessed.placement, arguments.frame_prefix, assessed=assessed)
-    with file_set(folder, WRITTEN, MARK) as unfinished:
-        return {**assessed.found, **export(unfinished, exported, formats)}
+    return {**assessed.found, **export_to(folder, exported, formats)}
 
 
 def show(result: Found) -> None:

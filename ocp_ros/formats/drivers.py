@@ -21,6 +21,7 @@ import warnings
 
 import numpy as np
 from ocp_ros.formats.exported import Exported, Link, link_between
+from ocp_ros.geometry.cameras import rotation_matrix, TO_BODY
 from ocp_ros.rig.rig_file import Camera
 
 
@@ -49,11 +50,9 @@ class Driver(NamedTuple):
     root_in_optical: np.ndarray
 
 
-def _optical_from_body() -> np.ndarray:
-    """Return the transform (4, 4) from x forward, y left, z up to z forward, x right, y down."""
-    matrix = np.eye(4)
-    matrix[:3, :3] = [[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]]
-    return matrix
+#: From x forward, y left, z up to z forward, x right, y down: (4, 4).
+OPTICAL_FROM_BODY = np.eye(4)
+OPTICAL_FROM_BODY[:3, :3] = TO_BODY['optical'].T
 
 
 def _optical_from_kinect_base(tilt_degrees: float) -> np.ndarray:
@@ -63,10 +62,8 @@ def _optical_from_kinect_base(tilt_degrees: float) -> np.ndarray:
     The driver publishes its inverse: the depth camera is 1.8 mm above the base, and looks down by
     an angle. Source: Azure_Kinect_ROS_Driver, k4a_calibration_transform_data.cpp.
     """
-    cosine, sine = np.cos(np.deg2rad(tilt_degrees)), np.sin(np.deg2rad(tilt_degrees))
-    tilt = np.array([[1.0, 0.0, 0.0], [0.0, cosine, sine], [0.0, -sine, cosine]])
     matrix = np.eye(4)
-    matrix[:3, :3] = _optical_from_body()[:3, :3].T @ tilt
+    matrix[:3, :3] = TO_BODY['optical'] @ rotation_matrix(roll=-np.deg2rad(tilt_degrees))
     matrix[:3, 3] = 0.0, 0.0, 0.0018
     return np.linalg.inv(matrix)
 
@@ -77,11 +74,11 @@ DRIVERS = {
         # The driver removes the underscore, which keeps the number a text.
         'realsense2_camera', 'realsense2_camera_node', ('serial_no', '_{serial}'),
         {'camera_name': '{name}', 'pointcloud.enable': True}, True, 'depth/color/points',
-        '{name}_link', _optical_from_body()),
+        '{name}_link', OPTICAL_FROM_BODY),
     'orbbec_camera': Driver(
         'orbbec_camera', 'orbbec_camera_node', ('serial_number', '{serial}'),
         {'camera_name': '{name}', 'enable_point_cloud': True}, False, 'depth/points',
-        '{name}_link', _optical_from_body()),
+        '{name}_link', OPTICAL_FROM_BODY),
     'depthai_ros_driver': Driver(
         'depthai_ros_driver', 'camera_node', ('camera.i_mx_id', '{serial}'),
         {'camera.i_pipeline_type': 'RGBD', 'camera.i_nn_type': 'none',

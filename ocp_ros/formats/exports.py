@@ -29,7 +29,7 @@ from ocp_ros.formats.ros_files import launch_of, rviz_of, sdf_of, xacro_of
 from ocp_ros.formats.scene_models import gltf_of, usd_of
 from ocp_ros.report.installer_page import installer_page
 from ocp_ros.rig.placement_file import numbers_of, save_placement
-from ocp_ros.util.files import write_atomically
+from ocp_ros.util.files import file_set, write_atomically
 from ocp_ros.util.settings import check_known, ConfigurationError, need
 
 #: Placement files, which can be read again.
@@ -196,3 +196,9 @@ def export(folder: Path, exported: Exported, names: Iterable[str]) -> dict[str, 
                           'printed, or make room and do it again')
         written += [str(folder.parent / path.name) for path in paths if path.exists()]
     return {'written': written, **({'error': errors[0]} if errors else {})}
+
+
+def export_to(folder: Path, exported: Exported, names: Iterable[str]) -> dict[str, Any]:
+    """Write a placement to a folder, whose files appear together; see :func:`export`."""
+    with file_set(folder, WRITTEN, MARK) as unfinished:
+        return export(unfinished, exported, names)

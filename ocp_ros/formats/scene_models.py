@@ -23,6 +23,7 @@ import numpy as np
 from ocp_ros.formats.exported import Exported, pose_matrix
 from ocp_ros.geometry.cameras import CameraModel, PINHOLE, view_grid
 from ocp_ros.report.camera_words import camera_colour
+from ocp_ros.scenes.source_frame import map_from_file
 
 #: Horizontal aperture of a camera in USD, tenths of a unit: its default, that of a 35 mm film.
 APERTURE = 20.955
@@ -31,8 +32,8 @@ MIN_CLIP_M = 0.01
 #: Number of directions along each edge of a field of view.
 GRID = 17
 #: The rotation from z up to y up, which glTF requires.
-Y_UP = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, -1.0, 0.0, 0.0],
-                 [0.0, 0.0, 0.0, 1.0]])
+Y_UP = np.eye(4)
+Y_UP[:3, :3] = map_from_file('y').T
 
 
 def usd_of(exported: Exported) -> str:

@@ -75,6 +75,10 @@ class Pose(NamedTuple):
                              'or x, y, z, yaw, pitch, roll with angles in radians, all finite')
         return cls(camera[:3], rotation_matrix(*camera[3:]) if len(camera) == 6 else LEVEL)
 
+    def within(self, base: 'Pose') -> 'Pose':
+        """Return this pose, which is in the frame of a base, in the frame that the base is in."""
+        return Pose(base.position + base.rotation @ self.position, base.rotation @ self.rotation)
+
     def away_from(self, other: 'Pose') -> tuple[float, float]:
         """Return the distance and the rotation angle to another pose: metres and radians."""
         return (float(np.linalg.norm(self.position - other.position)),

@@ -31,6 +31,12 @@ HASH_MULTIPLIER = np.uint64(0x9E3779B97F4A7C15)
 EMPTY = -1
 
 
+def evenly(count: int, max_count: int) -> np.ndarray:
+    """Return the indices of at most ``max_count`` of ``count`` things, evenly spread."""
+    kept = min(count, max_count)
+    return np.arange(kept) * count // max(kept, 1)
+
+
 def fixed_size(points: np.ndarray, count: int) -> np.ndarray:
     """
     Take ``count`` points at even strides through a cloud; repeat some if it has fewer.

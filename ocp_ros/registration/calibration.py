@@ -44,6 +44,7 @@ from ocp_ros.registration.live_view import LiveView
 from ocp_ros.registration.movement import movement_since, sentence_of, way_back
 from ocp_ros.registration.mutual_registration import register_mutually
 from ocp_ros.registration.scan_surfaces import ScanSurfaces
+from ocp_ros.registration.steady_cloud import measured as measured_points
 from ocp_ros.rig.placement_file import ANGLES, created_by, FIXED, Placed, placed_at, Placement
 from ocp_ros.rig.rig_file import Camera, Rig, rig_from, sensor_named
 from ocp_ros.rig.sensors import SENSORS
@@ -294,7 +295,7 @@ def calibrate_mutually(placement: Placement, clouds: Mapping[str, np.ndarray]
 
 def model_of_cloud(points: np.ndarray) -> CameraModel:
     """Return a camera whose field of view and range contain nearly all points (N, 3), metres."""
-    points = points[np.isfinite(points).all(axis=1) & (points != 0.0).any(axis=1)]
+    points = measured_points(points)
     if len(points) == 0:
         return CameraModel()
     azimuth = np.abs(np.arctan2(points[:, 1], points[:, 0]))

@@ -89,8 +89,7 @@ class Movement(NamedTuple):
 
     def pose_now(self, reference: Pose) -> Pose:
         """Return the present pose in the map frame, given that of the reference."""
-        return Pose(reference.position + reference.rotation @ self.pose.position,
-                    reference.rotation @ self.pose.rotation)
+        return self.pose.within(reference)
 
 
 def movement_since(reference: LiveView, view: LiveView) -> Movement:

@@ -349,11 +349,6 @@ def register_mutually(views: Mapping[str, LiveView],
 _Links = Mapping[tuple[str, str], list[tuple[float, Pose]]]
 
 
-def _within(pose: Pose, base: Pose) -> Pose:
-    """Return a pose, given in the body frame of a camera at ``base``, in the frame of ``base``."""
-    return Pose(base.position + base.rotation @ pose.position, base.rotation @ pose.rotation)
-
-
 def _total(level: Mapping[str, LevelView], poses: Mapping[str, Pose], name: str, pose: Pose
            ) -> float:
     """Return how well a camera at a pose agrees with all placed cameras but itself."""
@@ -377,7 +372,7 @@ def _assembled(level: Mapping[str, LevelView], links: _Links) -> dict[str, Pose]
         for total, poses in rigs:
             for name in [name for name in level if name not in poses]:
                 likely: list[Pose] = []
-                for place in [_within(pose, base) for other, base in poses.items()
+                for place in [pose.within(base) for other, base in poses.items()
                               for _, pose in links[other, name]]:
                     if all(differ(place, one) for one in likely):
                         likely.append(place)
@@ -393,7 +388,7 @@ def _assembled(level: Mapping[str, LevelView], links: _Links) -> dict[str, Pose]
 def _lead(level: Mapping[str, LevelView], links: _Links, poses: Mapping[str, Pose], name: str
           ) -> float:
     """Return the lead in agreement of a placed camera's pose over its other likely poses."""
-    others = [_within(pose, base) for other, base in poses.items() if other != name
+    others = [pose.within(base) for other, base in poses.items() if other != name
               for _, pose in links[other, name]]
     own = _total(level, poses, name, poses[name])
     return own - max((_total(level, poses, name, place) for place in others

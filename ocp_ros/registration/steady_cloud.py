@@ -45,7 +45,7 @@ def steady_cloud(frames: Sequence[np.ndarray]) -> np.ndarray:
     """
     if len(frames) == 1:
         return np.asarray(frames[0])
-    kept = [_measured(frame) for frame in frames]
+    kept = [_few_measured(frame) for frame in frames]
     points = np.concatenate(kept)
     if len(points) == 0:
         return points
@@ -74,10 +74,14 @@ def steady_cloud(frames: Sequence[np.ndarray]) -> np.ndarray:
         / size[:, None]
 
 
-def _measured(frame: np.ndarray) -> np.ndarray:
+def measured(points: np.ndarray) -> np.ndarray:
+    """Return points (N, 3) without NaN and the origin, which stand for no measurement."""
+    return points[np.isfinite(points).all(axis=1) & (points != 0.0).any(axis=1)]
+
+
+def _few_measured(frame: np.ndarray) -> np.ndarray:
     """Return the measured points of a frame (N, 3), at most ``MAX_FRAME_POINTS``, as float64."""
-    frame = np.asarray(frame, dtype=np.float64)
-    frame = frame[np.isfinite(frame).all(axis=1) & (frame != 0.0).any(axis=1)]
+    frame = measured(np.asarray(frame, dtype=np.float64))
     return frame[::max(1, -(-len(frame) // MAX_FRAME_POINTS))]
 
 

@@ -28,7 +28,7 @@ from typing import Any, TYPE_CHECKING
 import numpy as np
 from ocp_ros.rig.placement_file import FIXED
 from ocp_ros.rig.sensors import CURRENCY, PRICES, SENSORS
-from ocp_ros.rig.structure import ceiling_of, floors_of
+from ocp_ros.rig.structure import ceiling_of
 from ocp_ros.scenes.scene import Scene
 from scipy import ndimage
 from scipy.sparse import coo_matrix
@@ -157,7 +157,7 @@ def _cables_of(assessed: 'Assessment') -> tuple[np.ndarray, list[dict[str, Any]]
         x, y, z = one.position
         above = ceiling.height_above(np.array([[x, y]]))[0] if len(ceiling.points) else top
         above = max(above if np.isfinite(above) else top, z)
-        floor = float(floors_of(scene).under(np.array([one.position]))[0])
+        floor = float(assessed.floors.under(np.array([one.position]))[0])
         start = plan.cell_of(np.array([x, y]), plan.inside)
         level = plan.lengths_from(start, plan.inside)
         # The ends of a cable are at the computer, whose height is added below.
@@ -176,7 +176,7 @@ def _cables_of(assessed: 'Assessment') -> tuple[np.ndarray, list[dict[str, Any]]
         total = np.where(plan.edge, np.sum(shortest, axis=0), np.inf)
         cell = tuple(np.unravel_index(total.argmin(), total.shape))
         position = plan.position_of(cell)
-        floor = float(floors_of(scene).under(np.array([[*position, placed[0].position[2]]]))[0])
+        floor = float(assessed.floors.under(np.array([[*position, placed[0].position[2]]]))[0])
         computer = np.array([*position, floor + COMPUTER_HEIGHT_M])
     else:
         computer = rig.computer

@@ -21,6 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 from ocp_ros.geometry.cameras import CameraModel
+from ocp_ros.geometry.clouds import evenly
 from ocp_ros.rig.free_plane import CELL_M, FreePlane
 from ocp_ros.rig.mounts import choose_spread, headings_of, MERGE_DISTANCE_M, MountPlaces, places_in
 from ocp_ros.rig.rig_file import Rig
@@ -151,8 +152,7 @@ class FeasibleRegion:
         repeated = np.repeat(positions[:, None], headings.shape[1], axis=1)
         poses = np.concatenate([repeated, headings], axis=2).reshape(-1, 6)
         # If there are more poses than wanted, evenly spaced ones are kept.
-        count = min(max_count, len(poses))
-        return poses[np.arange(count) * len(poses) // count]
+        return poses[evenly(len(poses), max_count)]
 
     def pose_grid(self, model: CameraModel, step: float, max_count: int, min_places: int = 1
                   ) -> tuple[np.ndarray, np.ndarray, float]:

@@ -29,6 +29,7 @@ import re
 from typing import Any, NamedTuple
 
 import numpy as np
+from ocp_ros.geometry.cameras import rotation_matrix
 from ocp_ros.scenes.measured_room import box_faces
 from ocp_ros.util import yaml_files as schema
 from ocp_ros.util.files import read_regular
@@ -109,12 +110,14 @@ def read_map(document: Document, folder: Path, height: float) -> np.ndarray:
         quads += [np.insert(plan, 2, level, axis=1) for level in (0.0, 1.0)]
     for start, end in edges:
         quads.append(np.array([(*start, 0.0), (*end, 0.0), (*end, 1.0), (*start, 1.0)]))
-    corners = np.array(quads)[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3)
     x, y, *yaw = data['origin']
-    angle = yaw[0] if yaw else 0.0
-    rotation = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-    plan = data['resolution'] * corners[:, :2] @ rotation.T + (x, y)
-    return np.column_stack([plan, height * corners[:, 2]]).reshape(-1, 9)
+    corners = np.array(quads) * (data['resolution'], data['resolution'], height)
+    return _triangles(corners @ rotation_matrix(*yaw).T + (x, y, 0.0))
+
+
+def _triangles(quads: np.ndarray) -> np.ndarray:
+    """Divide quadrilaterals (Q, 4, 3) by a diagonal: (2 Q, 9) the corners of triangles."""
+    return quads[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 9)
 
 
 def _map_cells(document: Document, folder: Path) -> tuple[np.ndarray, np.ndarray]:
@@ -202,9 +205,8 @@ def dxf_rows(path: str, height: str, layers: str, scale: str) -> Iterator[np.nda
     # A wall goes from the start of a line to its end, and back at the top.
     walls = np.insert(ends[:, [0, 1, 1, 0]], 2, 0.0, axis=2)
     walls[:, 2:, 2] = top
-    corners = np.concatenate([*quads, walls])
     yield _frame_row(metres, 2)
-    yield corners[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 9)
+    yield _triangles(np.concatenate([*quads, walls]))
 
 
 def _polylines(entities: Any, parent_layer: str, step: float
@@ -356,7 +358,7 @@ def usd_rows(path: str) -> Iterator[np.ndarray]:
             corners = _corners_of_mesh(UsdGeom.Mesh(prim))
         elif prim.IsA(UsdGeom.Cube):
             half = 0.5 * UsdGeom.Cube(prim).GetSizeAttr().Get()
-            corners = box_faces(np.full(3, -half), np.full(3, half))[:, [0, 1, 2, 0, 2, 3]]
+            corners = _triangles(box_faces(np.full(3, -half), np.full(3, half)))
         else:
             continue
         # Matrices of USD are those of row vectors.

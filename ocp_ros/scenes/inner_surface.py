@@ -28,7 +28,7 @@ from typing import NamedTuple
 
 import numpy as np
 from ocp_ros.geometry.cameras import CameraModel, LEVEL, Pose
-from ocp_ros.geometry.clouds import CellGrid, corners_of
+from ocp_ros.geometry.clouds import CellGrid, corners_of, evenly
 from ocp_ros.geometry.normals import STEEP
 from ocp_ros.geometry.packed_bits import no_bits, unpack
 from ocp_ros.geometry.visibility import FINE, SurfelVisibility
@@ -102,8 +102,7 @@ def inner_surface(mesh: Mesh, point_count: int, spacing: float, name: str,
         np.hstack([_start_points(rows[is_kept], sign), sign * rows[is_kept, 3:]])
         for is_kept, sign in zip(air.visible_sides(rows, rays).T, (1.0, -1.0))])
     # Thin evenly to the wanted number.
-    count = min(point_count, len(visible_rows))
-    points, normals = np.hsplit(visible_rows[np.arange(count) * len(visible_rows) // count], 2)
+    points, normals = np.hsplit(visible_rows[evenly(len(visible_rows), point_count)], 2)
     # Hidden faces of given boxes, such as the underside of a cupboard, need no remark, nor does
     # less than half a per cent of hidden faces.
     invisible_share = 1.0 - float(is_visible.any(axis=1).mean())

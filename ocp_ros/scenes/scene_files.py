@@ -27,6 +27,7 @@ import numpy as np
 from ocp_ros.geometry.clouds import (
     away_from,
     corners_of,
+    evenly,
     MIN_VOXEL_M,
     thinned_to,
     voxel_downsample,
@@ -210,9 +211,9 @@ def _make_scene(rows: np.ndarray, name: str, scene_name: str, declared: Declared
         if inner is not None:
             scene = Scene(inner.points, scene_name, inner.normals, mesh, source, tuple(notes),
                           remarks + inner.remarks)
-            whole = scene.only(_evenly(len(scene), SURVEY_POINTS))
+            whole = scene.only(evenly(len(scene), SURVEY_POINTS))
             survey = main_room(whole, inner.points, whole.points, all_rooms)
-            thinned = scene.only(_evenly(len(scene), max_samples))
+            thinned = scene.only(evenly(len(scene), max_samples))
             return _warn_of_notes(survey if len(thinned) == len(whole) else
                                   _room_of_survey(thinned, whole, survey), name)
         # Without enclosed air, samples of all faces go on like the points of a scan.
@@ -289,12 +290,6 @@ def _room_of_survey(scene: Scene, whole: Scene, survey: Scene) -> Scene:
         scene = scene.only(is_room[tree.query(scene.points)[1]])
     return replace(scene, notes=survey.notes, remarks=survey.remarks, survey=survey,
                    rooms=survey.rooms)
-
-
-def _evenly(count: int, max_count: int) -> np.ndarray:
-    """Return the indices of at most ``max_count`` of ``count`` things, evenly spread."""
-    kept = min(count, max_count)
-    return np.arange(kept) * count // kept
 
 
 def _warn_of_notes(scene: Scene, name: str) -> Scene:

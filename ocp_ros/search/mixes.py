@@ -25,7 +25,7 @@ from itertools import product
 from typing import NamedTuple, TypeVar
 
 import numpy as np
-from ocp_ros.rig.rig_file import Rig, with_counts
+from ocp_ros.rig.rig_file import Camera, Rig, with_counts
 from ocp_ros.search.candidate_pool import are_spaced, CandidatePool, Sites, views_of
 from ocp_ros.search.pose_decoder import coarse_objective
 from ocp_ros.simulation.objective import Objective
@@ -61,15 +61,20 @@ def prices_of(rig: Rig) -> list[float]:
 
     :raises ConfigurationError: if a price is not known.
     """
-    groups = rig.document.data['cameras']
-    # The first camera of each group, of which each has one at least.
-    firsts = np.cumsum([0, *(group.get('count', 1) for group in groups[:-1])])
-    for number, first in enumerate(firsts):
-        if rig.cameras[first].price is None:
+    prices = []
+    for number, camera in enumerate(_firsts_of(rig)):
+        if camera.price is None:
             raise rig.document.error(
-                ('cameras', number), f'{rig.cameras[first].name}, whose price is not known',
+                ('cameras', number), f'{camera.name}, whose price is not known',
                 'a price for each group of cameras', 'add price: 419')
-    return [float(rig.cameras[first].price) for first in firsts]
+        prices.append(float(camera.price))
+    return prices
+
+
+def _firsts_of(rig: Rig) -> list[Camera]:
+    """Return the first camera of each group of a rig, of which each has one at least."""
+    counts = [group.get('count', 1) for group in rig.document.data['cameras']]
+    return [rig.cameras[first] for first in np.cumsum([0, *counts[:-1]])]
 
 
 def mixes_of(objective: Objective, pool: CandidatePool, max_cameras: int, max_price: float,
@@ -84,21 +89,19 @@ def mixes_of(objective: Objective, pool: CandidatePool, max_cameras: int, max_pr
     :param rng: chooses the candidates that are compared.
     """
     rig, coarse = objective.rig, coarse_objective(objective)
-    groups, prices = rig.document.data['cameras'], prices_of(rig)
-    firsts = np.cumsum([0, *(group.get('count', 1) for group in groups[:-1])])
-    models = [rig.cameras[first].model for first in firsts]
+    prices, models = prices_of(rig), [camera.model for camera in _firsts_of(rig)]
     most = min(max_cameras, MAX_CAMERAS - len(rig.fixed))
     least = max(rig.least_cameras - len(rig.fixed), 1)
     # The sites of each group, by the numbers of cameras.
-    placed: dict[tuple[int, ...], tuple[Sites, ...]] = {(0,) * len(groups): ((),) * len(groups)}
+    placed: dict[tuple[int, ...], tuple[Sites, ...]] = {(0,) * len(models): ((),) * len(models)}
     mixes = []
-    for counts in sorted(product(range(most + 1), repeat=len(groups)), key=sum):
+    for counts in sorted(product(range(most + 1), repeat=len(models)), key=sum):
         price = float(np.dot(counts, prices))
         if not 0 < sum(counts) <= most or price > max_price:
             continue
         best: tuple[float, tuple[Sites, ...]] | None = None
         for group, model in enumerate(models):
-            fewer = placed.get(tuple(np.subtract(counts, np.eye(len(groups), dtype=int)[group])))
+            fewer = placed.get(tuple(np.subtract(counts, np.eye(len(models), dtype=int)[group])))
             if fewer is None:
                 continue
             candidates = pool.candidates_of(model)

@@ -57,6 +57,50 @@ def observation_space_of(cameras: int, points: int, aimed: bool) -> spaces.Dict:
                         for name, shape in shapes.items()})
 
 
+def observation_of(cloud: np.ndarray, positions: np.ndarray, headings: np.ndarray | None,
+                   cameras: int, points: int) -> dict[str, np.ndarray]:
+    """
+    Return an observation of :class:`CameraPlacementEnv`.
+
+    :param cloud: (M, 3) metres, the points seen; if it is empty, the positions replace it.
+    :param positions: (K, 3) metres, of the cameras.
+    :param headings: (K, 3) radians; None if cameras are not turned.
+    :param cameras: as for :func:`observation_space_of`, like ``points``.
+    """
+    shown = cloud if len(cloud) else positions.astype(np.float32)
+    all_positions = np.zeros((cameras, 3), dtype=np.float32)
+    all_positions[:len(positions)] = positions
+    inputs = {'cloud': fixed_size(shown, points), 'camera_positions': all_positions,
+              'present': (np.arange(cameras) < len(positions)).astype(np.float32),
+              'bounds': corners_of(shown)}
+    return inputs if headings is None else {
+        **inputs, 'camera_headings': headings.astype(np.float32)}
+
+
+def moves_and_headings(rows: np.ndarray, axes: Sequence[str], headings: np.ndarray | None,
+                       max_step: float, max_turn: float
+                       ) -> tuple[np.ndarray, np.ndarray | None]:
+    """
+    Return what an action of :class:`CameraPlacementEnv` asks for.
+
+    :param rows: (K, A) the action of K cameras, A being the number of ``axes`` of their rig.
+    :param headings: (K, 3) radians, the present ones; None if cameras are not turned.
+    :param max_step: metres.
+    :param max_turn: radians.
+    :returns: (K, 2 or 3) moves, metres; and the new headings (K, 3), None if cameras are not
+        turned.
+    """
+    columns = 3 if 'z' in axes else 2
+    moves = bounded_moves(rows[:, :columns], max_step)
+    if 'yaw' not in axes or headings is None:
+        return moves, None
+    # The yaw is wrapped here; the problem limits the pitch.
+    headings = headings.copy()
+    headings[:, :2] += bounded_moves(rows[:, columns:], max_turn)
+    headings[:, 0] = wrapped(headings[:, 0])
+    return moves, headings
+
+
 class CameraPlacementEnv(gym.Env):
     """
     Move depth cameras until their views together reconstruct the room.
@@ -163,32 +207,18 @@ class CameraPlacementEnv(gym.Env):
         now = self.episode.turn
         # The last rows are those of cameras that the episode does not have.
         rows = np.asarray(action, float).reshape(-1, len(self.axes))[:len(now.positions)]
-        move_columns = 3 if 'z' in self.axes else 2
-        headings = None
-        if 'yaw' in self.axes:
-            # The yaw is wrapped here; the problem limits the pitch.
-            headings = now.headings.copy()
-            headings[:, :2] += bounded_moves(rows[:, move_columns:], self.episode.config.max_turn)
-            headings[:, 0] = wrapped(headings[:, 0])
-        moves = bounded_moves(rows[:, :move_columns], self.episode.config.max_step)
-        turn = self.episode.move(moves, headings)
+        limits = self.episode.config
+        turn = self.episode.move(*moves_and_headings(
+            rows, self.axes, now.headings, limits.max_step, limits.max_turn))
         return self._observation(), turn.terms.reward, False, turn.truncated, self._info()
 
     def _observation(self) -> dict[str, np.ndarray]:
         """Return the observation of the agent; see the class."""
-        # Until a camera has seen a point, the camera positions replace the cloud.
-        cloud = self.episode.observed_cloud
-        if len(cloud) == 0:
-            cloud = self.episode.turn.positions.astype(np.float32)
-        positions = np.zeros((len(self.rig.cameras), 3), dtype=np.float32)
-        count = len(self.episode.turn.positions)
-        positions[:count] = self.episode.turn.positions
-        present = (np.arange(len(positions)) < count).astype(np.float32)
-        inputs = {'cloud': fixed_size(cloud, self.observation_points),
-                  'camera_positions': positions, 'present': present, 'bounds': corners_of(cloud)}
-        if 'yaw' in self.axes:
-            inputs['camera_headings'] = self.episode.turn.headings.astype(np.float32)
-        return inputs
+        turn = self.episode.turn
+        return observation_of(
+            self.episode.observed_cloud, turn.positions,
+            turn.headings if 'yaw' in self.axes else None, len(self.rig.cameras),
+            self.observation_points)
 
     def _info(self) -> dict[str, Any]:
         """Return the exact coverage and error of the placement, and the terms of the reward."""

@@ -20,12 +20,12 @@ import re
 
 import numpy as np
 from ocp_ros.formats.exported import Exported
-from ocp_ros.formats.exports import export, formats_named, MARK, WRITTEN
+from ocp_ros.formats.exports import export_to, formats_named
 from ocp_ros.report.assessment import assess
 from ocp_ros.rig.placement_file import load_placement, Placement, save_placement
 from ocp_ros.rig.rig_file import load_rig, Rig
 from ocp_ros.scenes.scene import Scene
-from ocp_ros.util.files import file_set, folder_to_write, write_atomically
+from ocp_ros.util.files import folder_to_write, write_atomically
 from ocp_ros.util.settings import ConfigurationError
 from ocp_ros.util.yaml_files import written
 
@@ -119,10 +119,8 @@ class Folder:
         """
         assessment = assess(scene, placement, placement.room, command)
         folder = folder_to_write(self.claim_path(name, ''))
-        # The files appear together in the folder, once all of them are written.
-        with file_set(folder, WRITTEN, MARK) as unfinished:
-            found = export(unfinished, Exported(assessment.placement, assessed=assessment),
-                           self._formats)
+        found = export_to(folder, Exported(assessment.placement, assessed=assessment),
+                          self._formats)
         if 'error' in found:
             raise ConfigurationError(found['error'])
         return [Path(path).name for path in found['written']]

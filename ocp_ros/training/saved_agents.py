@@ -26,12 +26,14 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
-from ocp_ros.geometry.clouds import corners_of, fixed_size
 from ocp_ros.online.online_planner import Online, settings_of
-from ocp_ros.rig.motion import bounded_moves, wrapped
 from ocp_ros.rig.rig_file import Rig
 from ocp_ros.search.registry import OBSERVED, PLANNERS, RegisteredPlanner
-from ocp_ros.simulation.environment import observation_space_of
+from ocp_ros.simulation.environment import (
+    moves_and_headings,
+    observation_of,
+    observation_space_of,
+)
 from ocp_ros.simulation.simulation_config import EpisodeConfig
 from ocp_ros.util.settings import ConfigurationError
 
@@ -65,29 +67,19 @@ class SavedAgent(Online):
 
     def move(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> np.ndarray:
         """Return the next moves, and set the next headings; see :meth:`Online.move`."""
-        # As in the environment, camera positions replace an empty cloud.
-        shown = cloud if len(cloud) else positions.astype(np.float32)
-        observation = {'cloud': fixed_size(shown, self._points),
-                       'camera_positions': positions.astype(np.float32),
-                       'present': np.ones(len(positions), dtype=np.float32),
-                       'bounds': corners_of(shown)}
         headings = None
         if 'yaw' in self._axes:
             headings = self.rig_state.placement[:self.rig_state.movable, 3:]
-            observation['camera_headings'] = headings.astype(np.float32)
+        observation = observation_of(cloud, positions, headings, len(positions), self._points)
         action, _ = self._agent.predict(self._observe(observation), deterministic=True)
         rows = np.asarray(action, dtype=np.float64).reshape(-1)
         if len(rows) != len(positions) * len(self._axes):
             raise ConfigurationError(f'--policy: found an action of {len(rows)} numbers; expected '
                                      f'{", ".join(self._axes)} of {len(positions)} cameras; train '
                                      'it for this rig, or name its rig')
-        rows = rows.reshape(len(positions), -1)
-        if headings is not None:
-            headings = headings.copy()
-            headings[:, :2] += bounded_moves(rows[:, 2:], self._max_turn)
-            headings[:, 0] = wrapped(headings[:, 0])
-            self.headings = headings
-        return bounded_moves(rows[:, :2], self.max_step)
+        moves, self.headings = moves_and_headings(
+            rows.reshape(len(positions), -1), self._axes, headings, self.max_step, self._max_turn)
+        return moves
 
 
 def register_policy(policy: str, observation: str = DICT) -> None:

@@ -366,7 +366,7 @@ def test_what_stays_in_most_frames_is_kept_and_its_noise_falls():
     frames = []
     for number in range(20):
         depth = 3.0 + rng.normal(0.0, 0.017, y.shape)
-        # Somebody walks past a board that stays; pixels at its edges flicker.
+        # A person walks past a board that stays; pixels at its edges flicker.
         depth[np.abs(y - 0.1 * (number - 10)) < 0.1] = 1.5
         depth[np.abs(y - 0.3) < 0.1] = 2.0
         depth[np.abs(y - 0.42) < 0.015] = rng.uniform(2.0, 3.0)

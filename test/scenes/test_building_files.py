@@ -162,7 +162,7 @@ def test_building_model(house, options, low, high):
     # The reveals of the door and of the window are surfaces too.
     check_room(scene, low, high, 0.07)
     assert has_points_near(scene, (2.7, 1.4, low[2] + 0.75))
-    # Nobody sees the pane of a window, but through it.
+    # Cameras do not see the pane of a window, but through it.
     assert not has_points_near(scene, (-0.08, 2.2, low[2] + 1.5), 0.05)
 
 

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What a scan proves: nothing is seen from behind, nor through what nobody has seen."""
+"""What a scan proves: nothing is seen from behind, nor through what no scanner has seen."""
 
 from dataclasses import replace
 

@@ -413,6 +413,5 @@ class TransformTree:
             if frame not in self._parents:
                 return None
             frame, pose_in_parent = self._parents[frame]
-            pose = Pose(pose_in_parent.rotation @ pose.position + pose_in_parent.position,
-                        pose_in_parent.rotation @ pose.rotation)
+            pose = pose.within(pose_in_parent)
         return None
