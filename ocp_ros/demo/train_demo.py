@@ -16,11 +16,11 @@
 Train over real ROS: a trainer and pairs of simulation and policy, each in its own process.
 
 Each pair has its own namespace. The demo shows that trained weights arrive in every
-``policy_node``, and writes ``train_demo.json``.
+``policy_node``, and writes ``train_demo.json``. With ``--model ''`` and thousands of turns it
+shows how the error falls in a training from random weights.
 """
 
 import argparse
-from math import nan
 from pathlib import Path
 import sys
 import time
@@ -42,7 +42,8 @@ def build_parser() -> argparse.ArgumentParser:
                         help='pairs of sim and policy')
     parser.add_argument('--seed', type=int, default=1, help='of the first generated room')
     parser.add_argument('--model', default=DEFAULT_MODEL,
-                        help='weights to start from: path or name')
+                        help='weights to start from: path or name; empty: random, and the '
+                        'shipped model makes the first moves')
     parser.add_argument('--out', type=Path, default=Path('out'), help='folder for the results')
     return parser
 
@@ -55,7 +56,8 @@ def namespaces(pairs: int) -> list[str]:
 def pair_parameters(number: int, seed: int, model: str) -> dict[str, dict[str, Any]]:
     """Return the parameters of each node of a pair, by node; each pair has its own room."""
     # One thread per policy, because the other pairs use the other cores.
-    return {'policy_node': {'model': model, 'explore': True, 'seed': number, 'threads': 1},
+    return {'policy_node': {'model': model or DEFAULT_MODEL, 'explore': True, 'seed': number,
+                            'threads': 1},
             'sim_node': {'scene.seed': seed + number, 'seed': number, 'auto_reset': True}}
 
 
@@ -70,7 +72,7 @@ def start_nodes(options: argparse.Namespace, domain: int, processes: list[NodePr
     # The recipe is that of the shipped weights; it begins early, so that the demo takes
     # a few minutes.
     settings = {'publish_every': 20, 'sac.learning_starts': 100, 'sac.burn_in': 20,
-                'sac.buffer_size': 4000}
+                'sac.buffer_size': max(4000, 8 * options.turns)}
     processes.append(NodeProcess('trainer_node', domain, logs / 'trainer_node.log', {
         'model': options.model, 'folder': str(options.out / 'trainer'),
         'sources': ','.join(sources), **settings}))
@@ -86,11 +88,11 @@ def policy_diagnostics(watch: Watch, pairs: int) -> list[dict[str, str]]:
             for namespace in namespaces(pairs)]
 
 
-def run_training(options: argparse.Namespace, domain: int, watch: Watch) -> dict[str, float]:
+def run_training(options: argparse.Namespace, domain: int, watch: Watch) -> dict[str, Any]:
     """Train until all turns are done and all policies have new weights; return the figures."""
     processes: list[NodeProcess] = []
-    losses: list[float] = []
-    ratios: list[float] = []
+    # Values of the trainer with the turns so far.
+    curves: dict[str, list[tuple[int, float]]] = {'critic_loss': [], 'error_ratio': []}
     columns = (TextColumn('{task.description}'), BarColumn(), MofNCompleteColumn(),
                TextColumn('{task.fields[state]}'))
 
@@ -104,11 +106,11 @@ def run_training(options: argparse.Namespace, domain: int, watch: Watch) -> dict
 
         def is_done() -> bool:
             # Store values that have changed; the trainer reports ``-`` before the first one.
-            for name, values in (('critic_loss', losses), ('error_ratio', ratios)):
-                value = trainer_value(name, '-')
-                if value != '-' and values[-1:] != [float(value)]:
-                    values.append(float(value))
             turns = int(trainer_value('turns'))
+            for name, values in curves.items():
+                value = trainer_value(name, '-')
+                if value != '-' and (not values or values[-1][1] != float(value)):
+                    values.append((turns, float(value)))
             swaps = min(int(values.get('weights_swapped', 0))
                         for values in policy_diagnostics(watch, options.pairs))
             progress.update(task, completed=min(turns, options.turns), state=(
@@ -126,13 +128,10 @@ def run_training(options: argparse.Namespace, domain: int, watch: Watch) -> dict
                          'new weights in every policy_node', processes)
         turns = int(trainer_value('turns')) - first_turns
         return {'turns_per_second': turns / (time.monotonic() - start_time),
-                'critic_loss_at_first': losses[0] if losses else nan,
-                'critic_loss_at_last': losses[-1] if losses else nan,
-                'error_ratio_at_first': ratios[0] if ratios else nan,
-                'error_ratio_at_last': ratios[-1] if ratios else nan}
+                **{f'{name}_by_turns': values for name, values in curves.items()}}
 
 
-def collect_result(options: argparse.Namespace, watch: Watch, figures: dict[str, float]
+def collect_result(options: argparse.Namespace, watch: Watch, figures: dict[str, Any]
                    ) -> dict[str, Any]:
     """Return the figures of the training and the counts of the nodes' diagnostics."""
     trainer = watch.node.diagnostics['trainer_node']
@@ -153,6 +152,8 @@ def print_result(options: argparse.Namespace, result: dict[str, Any]) -> None:
     """Print the results as a table."""
     table = Table('what', 'count', title='Training over ROS')
     for name, value in result.items():
+        if isinstance(value, list):
+            value = value[:1] + value[-1:]
         table.add_row(name.replace('_', ' '), f'{value:.2f}' if isinstance(value, float) else
                       str(value))
     Console().print(table)
