@@ -41,7 +41,7 @@ from ocp_ros.registration.camera_registration import (
     Registration,
 )
 from ocp_ros.registration.live_view import LiveView
-from ocp_ros.registration.movement import movement_since, sentence_of, way_back
+from ocp_ros.registration.movement import movements_since, sentence_of, way_back
 from ocp_ros.registration.mutual_registration import register_mutually
 from ocp_ros.registration.scan_surfaces import ScanSurfaces
 from ocp_ros.registration.steady_cloud import measured as measured_points
@@ -232,12 +232,7 @@ def without_scan(clouds: Mapping[str, np.ndarray], sensor: str, command: str,
         sensor = sensor_named(sensor)
     models = {name: SENSORS[sensor].model if sensor else model_of_cloud(cloud)
               for name, cloud in clouds.items()}
-    views, reasons = {}, {}
-    for name, cloud in clouds.items():
-        try:
-            views[name] = LiveView(cloud, models[name], name)
-        except SceneError as error:
-            reasons[name] = str(error)
+    views, reasons = views_of(clouds, models)
     found, failures = register_mutually(views, measured)
     reasons |= failures
     placed, rows, fused = [], [], []
@@ -245,13 +240,12 @@ def without_scan(clouds: Mapping[str, np.ndarray], sensor: str, command: str,
         row = {'camera': name, 'refused': found[name].refused if name in found else reasons[name]}
         if not row['refused']:
             one = found[name]
-            pose = np.concatenate([one.pose.position, heading_of(one.pose.rotation)])
-            placed.append(placed_at(Camera(name, sensor, models[name]), pose, 'free'))
+            placed.append(placed_at(Camera(name, sensor, models[name]), _row_of(one.pose), 'free'))
             fused.append(views[name].points @ one.pose.rotation.T + one.pose.position)
             row |= {'overlap': one.overlap, 'lead': one.lead, **_deviations(one.certainty),
                     **_pose_of(one.pose)}
         rows.append(row)
-    if not placed:
+    if len(placed) < 2:
         raise ConfigurationError('--clouds: found no two cameras that agree (' + '; '.join(
             f'{row["camera"]}: {row["refused"]}' for row in rows) + '); expected cameras that see '
             'the floor and some of the same things; turn them, or give a scan')
@@ -270,12 +264,7 @@ def calibrate_mutually(placement: Placement, clouds: Mapping[str, np.ndarray]
     :returns: as :func:`calibrate`.
     """
     placed = {one.camera.name: one for one in placement.cameras}
-    views, reasons = {}, {}
-    for name, cloud in clouds.items():
-        try:
-            views[name] = LiveView(cloud, placed[name].camera.model, name)
-        except SceneError as error:
-            reasons[name] = str(error)
+    views, reasons = views_of(clouds, {name: one.camera.model for name, one in placed.items()})
     found, failures = register_mutually(views)
     registrations: dict[str, Registration] = {}
     if found:
@@ -291,6 +280,24 @@ def calibrate_mutually(placement: Placement, clouds: Mapping[str, np.ndarray]
             registrations[name] = Registration(
                 pose, np.nan, one.overlap, 0.0, certainty, 0.0, 0.0, one.refused)
     return registrations, {**reasons, **failures}
+
+
+def views_of(clouds: Mapping[str, np.ndarray], models: Mapping[str, CameraModel]
+             ) -> tuple[dict[str, LiveView], dict[str, str]]:
+    """
+    Return what cameras see, and the reasons why clouds are unusable, both by the camera's name.
+
+    :param clouds: (N, 3) metres, body frame; those without a model are left out.
+    """
+    views, reasons = {}, {}
+    for name, model in models.items():
+        if name not in clouds:
+            continue
+        try:
+            views[name] = LiveView(clouds[name], model, name)
+        except SceneError as error:
+            reasons[name] = str(error)
+    return views, reasons
 
 
 def model_of_cloud(points: np.ndarray) -> CameraModel:
@@ -319,29 +326,31 @@ def since_reference(placement: Placement, references: Mapping[str, np.ndarray],
     :param command: the command line, for the record.
     :returns: cameras that have moved at their present poses; others as they were.
     """
+    models = {placed.camera.name: placed.camera.model for placed in placement.cameras}
+    poses = {placed.camera.name: Pose.of(placed.pose) for placed in placement.cameras}
+    before, _ = views_of(references, models)
+    views, reasons = views_of(clouds, models)
+    movements = movements_since(before, views, poses)
     rows, cameras, kept = [], [], dict(references)
     for placed in placement.cameras:
-        name, reference = placed.camera.name, Pose.of(placed.pose)
+        name = placed.camera.name
         row: dict[str, Any] = {'camera': name, 'refused': ''}
-        try:
-            if name not in clouds or name not in references:
-                raise SceneError('it has no cloud' if name in references else
-                                 'it has no reference: calibrate it once without --against')
-            movement = movement_since(*(LiveView(one[name], placed.camera.model, name)
-                                        for one in (references, clouds)))
-            if movement.is_lost:
-                raise SceneError(sentence_of(name, movement, reference))
+        if name not in movements:
+            row['refused'] = reasons.get(name, 'it has no cloud') if name in before else \
+                'it has no reference: calibrate it once without --against'
+        elif (movement := movements[name]).is_lost:
+            row['refused'] = sentence_of(name, movement, poses[name])
+        else:
             if movement.has_moved:
-                pose = movement.pose_now(reference)
-                placed = placed_at(placed.camera, np.concatenate(
-                    [pose.position, heading_of(pose.rotation)]), placed.mount)
-                row['put_back'] = way_back(movement, reference)
+                placed = placed.at_measured_pose(_row_of(movement.pose_now(poses[name])))
+                row['put_back'] = way_back(movement, poses[name])
                 kept[name] = clouds[name]
             row |= {'overlap': movement.agreement, 'moved': movement.has_moved,
                     'moved_metres': movement.metres, 'moved_degrees': movement.degrees,
                     **_pose_of(Pose.of(placed.pose))}
-        except SceneError as error:
-            row['refused'] = str(error)
+            if movement.by_others:
+                row['note'] = ('it sees too little of what it saw before; its pose is by what the '
+                               'other cameras see')
         rows.append(row)
         cameras.append(placed)
     built = _with_cameras(placement, cameras, created_by(command))
@@ -398,6 +407,11 @@ def _deviations(certainty: Certainty) -> dict[str, Any]:
           in zip(certainty.turn_axes, certainty.degrees, certainty.held_by[3:]))]}
 
 
+def _row_of(pose: Pose) -> np.ndarray:
+    """Return a pose as the row (6,) of a placement, metres and radians."""
+    return np.concatenate([pose.position, heading_of(pose.rotation)])
+
+
 def _pose_of(pose: Pose) -> dict[str, Any]:
     """Return a pose as plain data: metres and degrees."""
     return {'position': pose.position.round(4).tolist(),
@@ -409,8 +423,7 @@ def _at_registered_pose(placed: Placed, found: Mapping[str, Registration]) -> Pl
     registration = found.get(placed.camera.name)
     if registration is None or registration.refused:
         return placed
-    pose = registration.pose
-    return placed.at_measured_pose(np.concatenate([pose.position, heading_of(pose.rotation)]))
+    return placed.at_measured_pose(_row_of(registration.pose))
 
 
 def _with_fixed_poses(rig: Rig, fixed: list[Placed]) -> Rig:

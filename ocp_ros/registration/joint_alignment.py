@@ -28,7 +28,7 @@ jackknife, which is how much the poses change if one block is left out, and that
 independent errors as large as those observed.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -228,14 +228,14 @@ def overlapping_pairs(rig: Sequence[RigCamera], poses: Sequence[Pose], max_dista
 
 
 def joint_poses(rig: Sequence[RigCamera], poses: Sequence[Pose], stage: AlignmentStage,
-                anchor: int | None = None, distances: Sequence[Distance] = ()) -> list[Pose]:
+                anchors: Collection[int] = (), distances: Sequence[Distance] = ()) -> list[Pose]:
     """
     Register cameras to the scan and to each other.
 
     :param rig: the K cameras.
     :param poses: their start poses.
     :param stage: the limits of the iteration.
-    :param anchor: a camera that keeps its pose, where no camera has a scan.
+    :param anchors: cameras that keep their poses: at least one where no camera has a scan.
     :param distances: distances between cameras that a person has measured.
     :returns: their final poses.
     """
@@ -248,7 +248,7 @@ def joint_poses(rig: Sequence[RigCamera], poses: Sequence[Pose], stage: Alignmen
         information, gradient = _normal_equations(constraints, len(poses))
         damping = 1e-4 * np.repeat(
             information.diagonal().reshape(-1, 6).mean(axis=1), 6) + 1e-9
-        if anchor is not None:
+        for anchor in anchors:
             damping[6 * anchor:6 * anchor + 6] += 1e6 * max(information.diagonal().max(), 1.0)
         steps = -np.linalg.solve(information + np.diag(damping), gradient).reshape(-1, 6)
         poses = [Pose(pose.position + step[3:],
@@ -271,14 +271,14 @@ def _normal_equations(constraints: Sequence[Constraints], cameras: int
     return information, gradient
 
 
-def pose_covariance(constraints: Sequence[Constraints], cameras: int, anchor: int | None = None
-                    ) -> tuple[np.ndarray, np.ndarray]:
+def pose_covariance(constraints: Sequence[Constraints], cameras: int,
+                    anchors: Collection[int] = ()) -> tuple[np.ndarray, np.ndarray]:
     """
     Return the expected covariance of the poses of K registered cameras.
 
     :param constraints: those of the registered poses.
     :param cameras: K.
-    :param anchor: a camera whose pose is exact by definition.
+    :param anchors: cameras whose poses are exact by definition.
     :returns: (6K, 6K), radians and metres, map axes, each camera's rotation about its own
         position; and the information matrix (6K, 6K) of independent blocks.
     """
@@ -302,7 +302,7 @@ def pose_covariance(constraints: Sequence[Constraints], cameras: int, anchor: in
     independent = (weighted * scale[blocks, None]).T @ jacobians
     # A weak prior keeps unconstrained directions solvable.
     prior = np.full(size, FREE_DEVIATION ** -2.0)
-    if anchor is not None:
+    for anchor in anchors:
         prior[6 * anchor:6 * anchor + 6] = 1e14
     covariance = np.linalg.inv(independent + np.diag(prior))
     # The jackknife: the step of the poses if each block is left out. The gradients of all blocks
@@ -365,16 +365,16 @@ def _block_deviation(residuals: np.ndarray, parts: Sequence[slice]) -> float:
     return max(1.4826 * float(np.median(np.abs(medians))), 0.003)
 
 
-def certainties(constraints: Sequence[Constraints], names: Sequence[str], anchor: int | None = None
-                ) -> list[Certainty]:
+def certainties(constraints: Sequence[Constraints], names: Sequence[str],
+                anchors: Collection[int] = ()) -> list[Certainty]:
     """
     Return the expected deviations of each of K registered poses, and what holds them.
 
     :param constraints: those of the registered poses.
     :param names: of the K cameras.
-    :param anchor: see :func:`pose_covariance`.
+    :param anchors: see :func:`pose_covariance`.
     """
-    covariance, _ = pose_covariance(constraints, len(names), anchor)
+    covariance, _ = pose_covariance(constraints, len(names), anchors)
     found = []
     for k in range(len(names)):
         own = slice(6 * k, 6 * k + 6)

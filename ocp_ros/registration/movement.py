@@ -42,9 +42,11 @@ from ocp_ros.registration.joint_alignment import (
     certainties,
     HERE,
     joint_poses,
+    relative_pose,
     RigCamera,
 )
 from ocp_ros.registration.live_view import LiveView
+from ocp_ros.registration.mutual_registration import register_mutually
 from ocp_ros.util.files import read_regular, write_atomically
 from ocp_ros.util.settings import ConfigurationError
 from scipy.spatial.transform import Rotation
@@ -70,17 +72,19 @@ class Movement(NamedTuple):
     :ivar metres: how far it has moved in directions that the surfaces hold.
     :ivar degrees: how far it has turned about axes that the surfaces hold.
     :ivar agreement: the share of what it sees that is in the reference, less contradictions.
+    :ivar by_others: whether the pose and the agreement are by what other cameras see.
     """
 
     pose: Pose
     metres: float
     degrees: float
     agreement: float
+    by_others: bool = False
 
     @property
     def is_lost(self) -> bool:
         """Return whether the camera sees too little of its reference for its pose to be known."""
-        return self.agreement < MIN_AGREEMENT
+        return not self.by_others and self.agreement < MIN_AGREEMENT
 
     @property
     def has_moved(self) -> bool:
@@ -114,12 +118,34 @@ def movement_since(reference: LiveView, view: LiveView) -> Movement:
     pair = [RigCamera.of(reference.patches), RigCamera.of(view.patches)]
     poses = [HERE, Pose(best.positions[0], best.rotations[0])]
     for stage in (AlignmentStage((0.15, 0.06), (4.0, 1.5), 12), FINEST_STAGE):
-        poses = joint_poses(pair, poses, stage, anchor=0)
+        poses = joint_poses(pair, poses, stage, anchors=[0])
     constraints = all_constraints(pair, poses, [(0, 1), (1, 0)], FINEST_STAGE.max_distances[1],
                                   FINEST_STAGE.kernel_widths[1])
-    certainty = certainties(constraints, ['reference', 'now'], anchor=0)[1]
+    certainty = certainties(constraints, ['reference', 'now'], anchors=[0])[1]
     metres, degrees = _held_movement(poses[1], certainty)
     return Movement(poses[1], metres, degrees, agreement(view, poses[1], reference, HERE))
+
+
+def movements_since(references: Mapping[str, LiveView], views: Mapping[str, LiveView],
+                    poses: Mapping[str, Pose]) -> dict[str, Movement]:
+    """
+    Register what cameras see to what they saw before; those that are lost, to the other cameras.
+
+    :param references: what each camera saw before, by name.
+    :param views: what they see now; those without a reference are left out.
+    :param poses: their poses before, z up.
+    """
+    found = {name: movement_since(references[name], view) for name, view in views.items()
+             if name in references}
+    known = {name: one.pose_now(poses[name]) for name, one in found.items() if not one.is_lost}
+    if known and len(known) < len(found):
+        again, _ = register_mutually({name: views[name] for name in found}, known=known)
+        for name, one in again.items():
+            if not one.refused:
+                metres, radians = one.pose.away_from(poses[name])
+                found[name] = Movement(relative_pose(one.pose, poses[name]), metres,
+                                       float(np.rad2deg(radians)), one.overlap, by_others=True)
+    return found
 
 
 def _held_movement(pose: Pose, certainty: Certainty) -> tuple[float, float]:
@@ -193,8 +219,9 @@ def sentence_of(name: str, movement: Movement, reference: Pose) -> str:
     :param reference: its former pose, map frame.
     """
     if movement.is_lost:
-        return (f'{name} sees {max(100.0 * movement.agreement, 0.0):.0f} % of what it saw before: '
-                'it was turned away or covered, or the room was changed; calibrate it again')
-    back = way_back(movement, reference)
+        return (f'{name} sees {max(100.0 * movement.agreement, 0.0):.0f} % of what it saw before, '
+                'and the other cameras do not show where it hangs: it was turned away or covered, '
+                'or the room was changed; calibrate it again')
+    by = ' by what the other cameras see' * movement.by_others
     return (f'{name} has moved by {100.0 * movement.metres:.1f} cm and {movement.degrees:.1f} '
-            f'degrees; to put it back, {back}')
+            f'degrees{by}; to put it back, {way_back(movement, reference)}')

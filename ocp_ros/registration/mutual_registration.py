@@ -12,7 +12,6 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-
 """
 Register cameras to each other without a scan: which pose has each in the frame of the others.
 
@@ -57,10 +56,9 @@ TURN_M = 0.5
 TOP_WEIGHT, FREE_WEIGHT = 2.0, 0.1
 #: How many turns of a pair are tried, displacements of each, and how many poses of a pair kept.
 TURNS, SHIFTS, KEPT = 8, 8, 4
-#: Unlikely poses of a rig that are kept while cameras are added.
+#: How many likely rigs are kept while cameras are added.
 BEAM = 3
-
-
+#: How all cameras are registered together.
 JOINT_STAGES = (AlignmentStage((0.3, 0.1), (8.0, 3.0), 14),
                 AlignmentStage((0.1, 0.06), (3.0, 1.5), 16))
 
@@ -300,44 +298,50 @@ def _best_distinct(one: LevelView, other: LevelView, starts: Sequence[Pose]
 
 
 def register_mutually(views: Mapping[str, LiveView],
-                      measured: Mapping[tuple[str, str], float] | None = None
+                      measured: Mapping[tuple[str, str], float] | None = None,
+                      known: Mapping[str, Pose] | None = None
                       ) -> tuple[dict[str, MutualRegistration], dict[str, str]]:
     """
     Register cameras to each other.
 
     :param views: what each camera sees, by name.
     :param measured: measured distances between two cameras, metres, by their names.
-    :returns: the registrations, and the reasons why cameras have none, by name. In the frame of
-        the poses, z is up and 0 on the floor, x is along the walls, and the lowest corner of what
-        all cameras see is the origin.
+    :param known: poses of some cameras, which keep them; all poses are then in their frame.
+    :returns: the registrations of the cameras without a known pose, and the reasons why cameras
+        have none, by name. In the frame of the poses, unless some are known, z is up and 0 on the
+        floor, x is along the walls, and the lowest corner of what all cameras see is the origin.
     """
+    known = known or {}
     level = {name: one for name, view in views.items() if (one := LevelView.of(view)) is not None}
     reasons = {name: 'it sees no floor; tilt it down' for name in views if name not in level}
     names = list(level)
     links = {(a, b): pair_poses(level[a], level[b]) for k, a in enumerate(names)
-             for b in names[k + 1:]}
+             for b in names[k + 1:] if a not in known or b not in known}
     links |= {(b, a): [(score, relative_pose(HERE, pose)) for score, pose in found]
               for (a, b), found in list(links.items())}
-    poses = _assembled(level, links)
+    poses = _assembled(level, links, {name: known[name] for name in names if name in known})
     reasons |= {name: 'it agrees with no other camera: too little of what it sees is seen by '
                 'others; turn it to what another one sees' for name in names if name not in poses}
-    if not poses:
+    if poses.keys() <= known.keys():
         return {}, reasons
-    leads = {name: _lead(level, links, poses, name) for name in poses}
+    leads = {name: _lead(level, links, poses, name) for name in poses if name not in known}
     placed = list(poses)
     totals = [_total(level, poses, name, poses[name]) for name in placed]
-    anchor = int(np.argmax(totals))
+    anchors = [k for k, name in enumerate(placed) if name in known] or [int(np.argmax(totals))]
     rig = [RigCamera.of(views[name].patches) for name in placed]
     joint = list(poses.values())
     distances = distances_between(placed, measured or {})
     for stage in JOINT_STAGES:
-        joint = joint_poses(rig, joint, stage, anchor, distances)
-    joint = _levelled([level[name] for name in placed], joint)
+        joint = joint_poses(rig, joint, stage, anchors, distances)
+    if not known:
+        joint = _levelled([level[name] for name in placed], joint)
     limits = JOINT_STAGES[-1].max_distances[1], JOINT_STAGES[-1].kernel_widths[1]
     constraints = all_constraints(rig, joint, overlapping_pairs(rig, joint, limits[0]), *limits,
                                   distances)
     found = {}
-    for k, (name, certainty) in enumerate(zip(placed, certainties(constraints, placed, anchor))):
+    for k, (name, certainty) in enumerate(zip(placed, certainties(constraints, placed, anchors))):
+        if name in known:
+            continue
         refused = _refusal(totals[k], leads[name], certainty)
         if refused and certainty.metres[0] > MUTUAL_LIMITS.max_metres:
             refused += advice(name, certainty.slide_axes[0],
@@ -356,18 +360,21 @@ def _total(level: Mapping[str, LevelView], poses: Mapping[str, Pose], name: str,
                for other, place in poses.items() if other != name)
 
 
-def _assembled(level: Mapping[str, LevelView], links: _Links) -> dict[str, Pose]:
+def _assembled(level: Mapping[str, LevelView], links: _Links, known: dict[str, Pose]
+               ) -> dict[str, Pose]:
     """
     Put cameras together one after the other, so that all agree.
 
     :param links: likely poses of the second camera of each pair in the frame of the first.
-    :returns: the poses of those that agree with others, in the frame of one of them.
+    :param known: the poses to begin with; none: the best pair.
+    :returns: the poses of those that agree with others, in the frame of the known ones or of one.
     """
     starts = sorted(((score, pair, pose) for pair, found in links.items() if pair[0] < pair[1]
                      for score, pose in found), key=lambda one: -one[0])
     rigs = [(score, {a: HERE, b: pose}) for score, (a, b), pose in starts[:BEAM]
             if score > MUTUAL_LIMITS.min_agreement]
-    for _ in range(len(level) - 2):
+    rigs = [(0.0, known)] if known else rigs
+    while True:
         grown = []
         for total, poses in rigs:
             for name in [name for name in level if name not in poses]:
@@ -380,9 +387,8 @@ def _assembled(level: Mapping[str, LevelView], links: _Links) -> dict[str, Pose]
                 grown += [(total + score, {**poses, name: place}) for score, place in zip(
                     scores, likely) if score > MUTUAL_LIMITS.min_agreement]
         if not grown:
-            break
+            return rigs[0][1] if rigs else {}
         rigs = sorted(grown, key=lambda one: -one[0])[:BEAM]
-    return rigs[0][1] if rigs else {}
 
 
 def _lead(level: Mapping[str, LevelView], links: _Links, poses: Mapping[str, Pose], name: str

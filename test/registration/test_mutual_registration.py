@@ -12,7 +12,6 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-
 """ocp calibrate without a scan: cameras find each other, and one that moved is named."""
 
 from pathlib import Path
@@ -22,7 +21,7 @@ from conftest import printed, refused, ROOT
 import numpy as np
 from ocp_ros.geometry.cameras import heading_of, OPTICAL_TO_BODY, Pose, TO_BODY
 from ocp_ros.registration.alignment import AlignmentStage, Patches
-from ocp_ros.registration.calibration import model_of_cloud
+from ocp_ros.registration.calibration import model_of_cloud, since_reference
 from ocp_ros.registration.joint_alignment import (
     advice,
     all_constraints,
@@ -37,7 +36,8 @@ from ocp_ros.registration.live_view import LiveView
 from ocp_ros.registration.movement import Movement, movement_since, way_back
 from ocp_ros.registration.mutual_registration import LevelView, register_mutually
 from ocp_ros.registration.steady_cloud import steady_cloud
-from ocp_ros.rig.placement_file import load_placement
+from ocp_ros.rig.placement_file import load_placement, placement_of
+from ocp_ros.rig.rig_file import rig_of
 from ocp_ros.rig.sensors import SENSORS
 from ocp_ros.rooms.generator import mesh_of, plan_of
 from ocp_ros.scenes.meshes import MeshRays
@@ -143,6 +143,25 @@ def test_files_alone_give_a_placement_a_room_and_references(clouds, capsys, tmp_
                 relative_pose(moved, TRUE[0]), 0.025, 0.7)
 
 
+def test_a_camera_that_lost_its_reference_is_found_by_the_others(clouds):
+    # It hangs in another corner.
+    now = Pose.of(np.array([SIZE[0] - 0.3, SIZE[1] - 0.4, 2.1, np.arctan2(
+        0.4 - 0.5 * SIZE[1], 0.3 - 0.5 * SIZE[0]), 0.5, 0.0]))
+    rows = np.array([[*pose.position, *heading_of(pose.rotation)] for pose in TRUE])
+    placement = placement_of(rig_of(3, SENSOR), rows)
+    names = [placed.camera.name for placed in placement.cameras]
+    before = dict(zip(names, clouds.values()))
+    found = since_reference(placement, before, {**before, names[1]: seen_from(now)}, '')
+    assert [row.get('moved') for row in found.rows] == [False, True, False]
+    moved = found.placement.cameras[1]
+    assert_near(Pose.of(moved.pose), now, 0.02, 0.7)
+    assert moved.planned == (placement.cameras[1].position, placement.cameras[1].angles)
+    assert 'other cameras' in found.rows[1]['note'] and 'turn it' in found.rows[1]['put_back']
+    # Alone, it is lost.
+    alone = since_reference(placement, before, {names[1]: seen_from(now)}, '').rows[1]
+    assert 'other cameras do not show' in alone['refused']
+
+
 def test_a_measured_distance_holds_a_camera_along_it():
     # Both cameras see one level surface alone.
     floor = np.random.default_rng(0).uniform(-2.0, 2.0, (1500, 3)) * [1.0, 1.0, 0.0]
@@ -153,9 +172,9 @@ def test_a_measured_distance_holds_a_camera_along_it():
     start = [true[0], Pose(true[1].position + [0.03, 0.0, 0.02], true[1].rotation)]
     stage, loose = AlignmentStage((0.1, 0.1), (3.0, 3.0), 20), {}
     for distances in ((), (Distance(0, 1, 1.0),)):
-        poses = joint_poses(rig, start, stage, 0, distances)
+        poses = joint_poses(rig, start, stage, [0], distances)
         found = certainties(all_constraints(rig, poses, [(0, 1), (1, 0)], 0.1, 3.0, distances),
-                            ['a', 'b'], 0)[1]
+                            ['a', 'b'], [0])[1]
         loose[len(distances)] = len(found.loose_motions)
         if distances:
             assert poses[1].position[0] == pytest.approx(1.0, abs=0.002)

@@ -26,16 +26,21 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from ocp_ros.geometry.cameras import heading_of, Pose
-from ocp_ros.registration.calibration import as_built, calibrate, calibrate_mutually, drift
+from ocp_ros.registration.calibration import (
+    as_built,
+    calibrate,
+    calibrate_mutually,
+    drift,
+    views_of,
+)
 from ocp_ros.registration.live_view import LiveView
-from ocp_ros.registration.movement import movement_since, sentence_of
+from ocp_ros.registration.movement import movements_since, sentence_of
 from ocp_ros.registration.scan_surfaces import ScanSurfaces
 from ocp_ros.registration.steady_cloud import steady_cloud
 from ocp_ros.rig.placement_file import Placement, save_placement
 from ocp_ros.ros.interface.conversions import MessageError, shortened
 from ocp_ros.ros.policy.live_turns import LiveTurns
 from ocp_ros.ros.runtime.managed_node import create_steady_timer
-from ocp_ros.scenes.scene import SceneError
 from ocp_ros.scenes.scene_files import load_scene
 from ocp_ros.util.settings import ConfigurationError, UserError
 from rclpy.task import Future
@@ -196,18 +201,14 @@ class Calibrator:
         clouds = _steady(frames)
         warnings = drift(self._scan_surfaces(), placement, clouds) if self._node.config.scan \
             else []
-        for placed in placement.cameras:
-            name = placed.camera.name
-            if name not in clouds:
-                continue
-            try:
-                view = LiveView(clouds[name], placed.camera.model, name)
-            except SceneError as error:
-                warnings.append(str(error))
-                continue
-            movement = movement_since(self._references.setdefault(name, view), view)
-            if movement.has_moved:
-                warnings.append(sentence_of(name, movement, Pose.of(placed.pose)))
+        poses = {placed.camera.name: Pose.of(placed.pose) for placed in placement.cameras}
+        views, reasons = views_of(clouds, {
+            placed.camera.name: placed.camera.model for placed in placement.cameras})
+        warnings += reasons.values()
+        self._references = {**views, **self._references}
+        warnings += [sentence_of(name, movement, poses[name]) for name, movement
+                     in movements_since(self._references, views, poses).items()
+                     if movement.has_moved]
         self.drift_warnings = list(dict.fromkeys(warnings))
         self.drift_checks += 1
         return not self.drift_warnings, '; '.join(self.drift_warnings)
