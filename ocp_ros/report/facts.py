@@ -35,6 +35,8 @@ from ocp_ros.util.terminal_text import printable
 
 #: Matches the folders before a file name, in a word of a command line such as --out=folder/name.
 FOLDER_PATTERN = re.compile(r'(?<![^=])[^=]*/(?=[^/])')
+#: A smaller share of the surface of a region that was not scanned is not mentioned.
+MIN_UNSCANNED_SHARE = 0.05
 #: Column heads of the table of regions.
 REGION_COLUMNS = ('region', 'seen', 'required', 'satisfied')
 #: Column heads of the table of rooms.
@@ -154,7 +156,9 @@ def facts_of(findings: Mapping[str, Any]) -> Facts:
 def region_rows(scores: Mapping[str, Any]) -> list[tuple[str, ...]]:
     """Return for each region its row of the table with :data:`REGION_COLUMNS`."""
     return [(region['name'], f'{percent(region["seen"])} of its {region["of"]}'
-             + (' from all around' if 'around' in region else ''),
+             + (' from all around' if 'around' in region else '')
+             + (f'; about {percent(region["unscanned"])} of its surface or more was not scanned '
+                '(its back)' if region.get('unscanned', 0.0) >= MIN_UNSCANNED_SHARE else ''),
              percent(region['must_see']), 'yes' if region['met'] else 'no')
             for region in scores['regions']]
 

@@ -129,8 +129,10 @@ def rig_scores(objective: Objective, views: Sequence[View], evaluation: RigEvalu
         'regions': [{'name': region.name, 'of': region.parts, 'seen': float(share),
                      **({'around': True} if region.air and region.air.around else {}),
                      'must_see': region.must_see, 'weight': region.weight,
-                     'met': bool(share >= region.must_see)}
-                    for region, share in zip(rig.regions, evaluation.regions)],
+                     'met': bool(share >= region.must_see),
+                     **({} if unscanned is None else {'unscanned': unscanned})}
+                    for region, share, unscanned in zip(
+                        rig.regions, evaluation.regions, objective.unscanned)],
         **({'requirements': [
             {'region': requirement.region, 'require': requirement.text, 'share': float(share),
              'asked': requirement.share, 'met': bool(share >= requirement.share)}

@@ -163,6 +163,18 @@ class Objective:
         return other
 
     @cached_property
+    def unscanned(self) -> list[float | None]:
+        """
+        Return the share of the surface of each region that was not scanned, about or more.
+
+        It is None for regions of air, and if it is not known from where the scan was made.
+        """
+        evidence, count = self.validation.simulator.evidence, len(self._points)
+        return [None if region.air or evidence is None else evidence.unscanned_share(
+            unpack(content, count), self._air)
+            for region, content in zip(self.rig.regions, self._contents)]
+
+    @cached_property
     def searched(self) -> 'Objective':
         """
         Return the objective of a search: links need a margin.

@@ -35,6 +35,7 @@ from ocp_ros.rig.free_plane import FreePlane
 from ocp_ros.rig.structure import Air, floor_height
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.util.threads import mapped
+from scipy import ndimage
 
 #: Metres: the edge of a cell of space.
 CELL_M = 0.1
@@ -45,6 +46,8 @@ STATION_HEIGHT_M, STATION_SPACING_M = 1.5, 0.7
 #: The least share of all points that a further station has to add, and the largest share that no
 #: station sees if they are found.
 MIN_ADDED_SHARE, MAX_UNSEEN_SHARE = 0.005, 0.05
+#: Metres: the distance behind a surface at which there is air, or something that it stands at.
+BEHIND_M = 0.3
 #: The rules of the finer maps.
 FINER = FINE._replace(rows=320)
 
@@ -120,6 +123,53 @@ class ScanEvidence:
         return proved_bits(seen, np.asarray(position, dtype=np.float64), self.points,
                            self.normals, self.sides, self.low, CELL_M, self.is_crossed,
                            MAX_UNKNOWN_M)
+
+    def unscanned_share(self, chosen: np.ndarray, air: Air) -> float | None:
+        """
+        Return the share of a surface that was not scanned, about or more: the backs of its points.
+
+        The back of a point that was scanned from one side counts if there is free space behind the
+        point, and no surface that was scanned from there. Hidden parts without a scanned other
+        side are left out.
+
+        :param chosen: (N,) bool, the points of the surface.
+        :param air: that of the room.
+        :returns: the area of the backs as a share of that of points and backs; None if it is not
+            known from where the scan was made.
+        """
+        if len(self.stations) == 0:
+            return None
+        # At most 256 points, spread evenly, are tried, so that the time is bounded.
+        rows = np.flatnonzero(chosen)
+        rows = rows[::-(-len(rows) // 256)]
+        points, inward = self.points[rows], -self.sides[rows, None] * self.normals[rows]
+        near = np.flatnonzero(((self.points > points.min(axis=0) - BEHIND_M)
+                               & (self.points < points.max(axis=0) + BEHIND_M)).all(axis=1))
+        radius = max(CELL_M, 2.0 * float(np.median(self.scene.pitch)))
+        # Surfaces pass through crossed cells beside others.
+        is_open = ndimage.binary_erosion(self.is_crossed)
+        low, high = self.scene.bounds
+        is_back = np.zeros(len(rows), dtype=bool)
+        for k in np.flatnonzero(self.sides[rows]):
+            # Behind the whole surface is air, unless it stands at a wall or on a floor.
+            depth = float(((points - points[k]) @ inward[k]).max())
+            ways = np.append(np.arange(2.0 * CELL_M, depth, CELL_M), depth + BEHIND_M)
+            places = points[k] + ways[:, None] * inward[k]
+            cells = np.floor((places[:-1] - self.low) / CELL_M).astype(int)
+            is_free = np.append(
+                is_open[tuple(np.clip(cells, 0, np.array(is_open.shape) - 1).T)],
+                ~air.closed(places[-1:]) & ((places[-1] > low) & (places[-1] < high)).all())
+            offsets = self.points[near] - points[k]
+            along, facing = offsets @ inward[k], self.normals[near] @ inward[k]
+            # Scanned surfaces on the way that look along it.
+            is_other = (along > -0.02) & (along < ways[is_free.argmax()]) & (
+                (offsets ** 2).sum(axis=1) < along ** 2 + radius ** 2) & np.where(
+                self.sides[near] == 0, (abs(facing) > 0.5) & (along > 0.05),
+                self.sides[near] * facing > 0.5)
+            is_back[k] = is_free.any() and not is_other.any()
+        areas = self.scene.pitch[self.visibility.order][rows] ** 2
+        hidden = areas[is_back].sum()
+        return float(hidden / (areas.sum() + hidden))
 
     @cached_property
     def _seen_finer(self) -> Callable[[bytes], np.ndarray]:

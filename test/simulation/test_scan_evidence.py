@@ -21,6 +21,8 @@ from conftest import box_sides
 import numpy as np
 from ocp_ros.geometry.free_space import cross_cells, proved_bits
 from ocp_ros.geometry.packed_bits import pack, unpack
+from ocp_ros.report.facts import region_rows
+from ocp_ros.report.findings import scores_of
 from ocp_ros.rig.rig_file import rig_of
 from ocp_ros.scenes.scene import Scene, turned
 from ocp_ros.scenes.scene_files import load_scene
@@ -68,6 +70,31 @@ def test_what_stands_behind_an_unscanned_back_is_not_seen_through_it(scene):
     assert proved[is_wall].mean() > 0.9 * seen[is_wall].mean() > 0.8
     # The promise is larger by what is not proved.
     assert objective.validation.depth_error(views) > replace_evidence(objective).depth_error(views)
+
+
+def test_a_region_says_how_much_of_its_surface_was_not_scanned(scene):
+    angle = 0.0 if '@' not in scene.name else float(scene.name.split('@')[1])
+    corners = turned(Scene(np.vstack([box_sides(2.0 * (HIGH - LOW), 0.5 * (LOW + HIGH), 9.0),
+                                      scene.points]), 'x'), angle).points[[0, 2, 6, 4], :2]
+    region = {'name': 'cabinet', 'polygon': corners.tolist(), 'height': [0.02, 2.0]}
+
+    def found_in(scan):
+        problem = Problem.of(scan, rig_of(1, 'omnidirectional', regions=[region]))
+        (found,) = scores_of(problem.objective, problem.objective.look(BEHIND))['regions']
+        return found, region_rows({'regions': [found]})[0][1]
+
+    size = HIGH - LOW
+    back, others = size[1] * size[2], size[1] * size[2] + 2 * size[0] * size[2] + size[0] * size[1]
+    found, text = found_in(scene)
+    assert found['unscanned'] == pytest.approx(back / (back + others), abs=0.05)
+    assert f'{100 * found["unscanned"]:.1f} % of its surface or more was not scanned' in text
+    # Scanned from all sides, it has no such back.
+    whole = turned(Scene(np.concatenate([
+        box_sides((6.0, 4.0, 2.8), (3.0, 2.0, 1.4), 0.06),
+        box_sides(size, 0.5 * (LOW + HIGH), 0.04)]).astype(np.float32), 'whole', stations=np.array(
+            [[1.0, 1.0, 2.5], [1.0, 3.2, 2.5], [5.0, 1.0, 1.5], [5.0, 3.0, 1.5]])), angle)
+    found, text = found_in(whole)
+    assert found['unscanned'] < 0.03 and 'not scanned' not in text
 
 
 def replace_evidence(objective):
