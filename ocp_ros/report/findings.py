@@ -160,8 +160,12 @@ def _room_scores(objective: Objective, views: Sequence[View], evaluation: RigEva
 
 
 def _calibration_links(objective: Objective, views: Sequence[View]) -> dict[str, Any]:
-    """Return which cameras can be calibrated to each other; {} if the rig does not require it."""
-    covisibility = objective.covisibility(views)
+    """
+    Return which cameras can be calibrated to each other; {} if the rig does not require it.
+
+    Only shared points count whose views the scan proves.
+    """
+    covisibility = objective.validation.covisibility(views)
     required = objective.rig.calibratable
     if covisibility is None:
         return {}

@@ -43,7 +43,8 @@ class RigPlan:
 
     :ivar rig: the rig.
     :ivar answer: the placement.
-    :ivar evaluation: of the placement by the objective.
+    :ivar evaluation: of the placement by the objective; connected if proved views link all
+        cameras.
     :ivar union_bound: evaluation if each camera has the union of the views of all its candidates
         and of the placements found so far; no choice among these poses is better.
     :ivar validated: depth errors on the validation viewpoints, metres.
@@ -189,7 +190,8 @@ class RigPlanner:
         errors = ValidatedErrors(validation.depth_error(views), validation.depth_error(proved),
                                  validation.simulator.depth_error.worst)
         return RigPlan(
-            rig, answer, objective.evaluate_views(views), objective.evaluate_views(union), errors,
+            rig, answer, objective.evaluate_views(views)._replace(
+                connected=objective.connects(views)), objective.evaluate_views(union), errors,
             np.array(losses), len(self.pool), self.budget.elapsed, self.planner,
             answer.certificate, answer.uncertain)
 

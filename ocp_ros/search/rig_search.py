@@ -209,6 +209,9 @@ class ColumnGenerationSearch:
             results = [self._rate_placement(self.pool.packed_sites(self.problem.rig))]
         self._stage, best = 3, results[0]
         if self._relaxed:
+            # Links have to hold for what the scan proves, which the search does not look at.
+            best = next((result for result in results if self.problem.objective.connects(
+                views_of(result.sites))), best)
             self._add_near(relaxation, best, TUNING.distances_m[0])
             # Without the margin of the search.
             best = best._replace(loss=self.problem.objective.loss(views_of(best.sites)))

@@ -417,6 +417,18 @@ class Objective:
             return None
         return covisibility(self._points, views, condition, len(self.fixed))
 
+    def connects(self, views: Sequence[View]) -> bool:
+        """
+        Return whether no two cameras disturb each other, and proved views link all of them.
+
+        Each applies as far as the rig requires it.
+
+        :param views: as for :meth:`evaluate_views`.
+        """
+        return self._pair_cost(views) <= SHARE_TOLERANCE and (
+            self._link_condition is None
+            or self.validation._pair_cost(views) <= SHARE_TOLERANCE)
+
     def lit_shares(self, views: Sequence[View]) -> np.ndarray:
         """
         Return what pairs of C cameras that may disturb each other light in common.

@@ -24,7 +24,7 @@ from ocp_ros.geometry.packed_bits import pack, unpack
 from ocp_ros.report.facts import region_rows
 from ocp_ros.report.findings import scores_of
 from ocp_ros.rig.rig_file import rig_of
-from ocp_ros.scenes.scene import Scene, turned
+from ocp_ros.scenes.scene import rotation_matrix, Scene, turned
 from ocp_ros.scenes.scene_files import load_scene
 from ocp_ros.simulation.problem import Problem
 import pytest
@@ -49,18 +49,25 @@ def scene(request):
     return turned(made, request.param)
 
 
+def degrees_of(scene):
+    """Return by how much a room is turned."""
+    return float(scene.name.split('@')[1]) if '@' in scene.name else 0.0
+
+
+def placed(scene, poses):
+    """Return poses (K, 6) of the room that is not turned, in a turned room."""
+    angle = np.deg2rad(degrees_of(scene))
+    return np.column_stack([poses[:, :3] @ rotation_matrix(angle).T, poses[:, 3] + angle,
+                            poses[:, 4:]])
+
+
 def test_what_stands_behind_an_unscanned_back_is_not_seen_through_it(scene):
-    angle = np.deg2rad(0.0 if '@' not in scene.name else float(scene.name.split('@')[1]))
-    pose = BEHIND.copy()
-    pose[0, :3] = turned(Scene(np.vstack([BEHIND[:, :3], scene.points]), 'x'),
-                         np.rad2deg(angle)).points[0]
-    pose[0, 3] += angle
     problem = Problem.of(scene, rig_of(1, 'omnidirectional'))
     objective = problem.objective
-    views = objective.look(pose)
+    views = objective.look(placed(scene, BEHIND))
     seen = objective.evaluate_views(views).seen.mask
     proved = objective.validation.evaluate_views(views).seen.mask
-    back = turned(replace(scene, stations=None), -np.rad2deg(angle)).points.astype(float)
+    back = turned(replace(scene, stations=None), -degrees_of(scene)).points.astype(float)
     is_front = (abs(back[:, 0] - LOW[0]) < 0.01) & (abs(back[:, 1] - 2.0) < 0.7) & (
         abs(back[:, 2] - 0.9) < 0.8)
     assert seen[is_front].mean() > 0.5 and proved[is_front].mean() < 0.02
@@ -72,10 +79,22 @@ def test_what_stands_behind_an_unscanned_back_is_not_seen_through_it(scene):
     assert objective.validation.depth_error(views) > replace_evidence(objective).depth_error(views)
 
 
+def test_cameras_are_linked_by_what_the_scan_proves(scene):
+    # One camera before the cabinet, and one behind it, which seems to see its front.
+    poses = placed(scene, np.array([[1.0, 2.0, 0.9, 0.0, 0.0, 0.0],
+                                    [5.2, 2.0, 0.9, np.pi, 0.0, 0.0]]))
+    rig = rig_of(2, 'd455', calibratable={'overlap': 0.3, 'angle': 180})
+    objective = Problem.of(scene, rig).objective
+    views = objective.look(poses)
+    links = scores_of(objective, views)['calibratable']
+    assert objective.evaluate_views(views).connected and not objective.connects(views)
+    assert len(links['groups']) == 2 and links['pairs'][0]['overlap'] < 0.1
+
+
 def test_a_region_says_how_much_of_its_surface_was_not_scanned(scene):
-    angle = 0.0 if '@' not in scene.name else float(scene.name.split('@')[1])
-    corners = turned(Scene(np.vstack([box_sides(2.0 * (HIGH - LOW), 0.5 * (LOW + HIGH), 9.0),
-                                      scene.points]), 'x'), angle).points[[0, 2, 6, 4], :2]
+    angle = degrees_of(scene)
+    corners = placed(scene, np.pad(box_sides(2.0 * (HIGH - LOW), 0.5 * (LOW + HIGH), 9.0),
+                                   [(0, 0), (0, 3)]))[[0, 2, 6, 4], :2]
     region = {'name': 'cabinet', 'polygon': corners.tolist(), 'height': [0.02, 2.0]}
 
     def found_in(scan):
