@@ -15,9 +15,11 @@
 """
 Floors of buildings: rooms on both sides of a corridor, with doors and furniture.
 
-What ``ocp plan`` needs for floors of three sizes with a camera for each 12 m2, and what it proves:
+What ``ocp plan`` needs for floors of three sizes with a camera for each 12 m2, and what it proves;
+and how many cameras ``--count auto`` finds that reach a share in each room:
 
     python -m benchmarks.floors --record
+    python -m benchmarks.floors --record --count --seconds 20
 """
 
 import argparse
@@ -36,6 +38,8 @@ from ocp_ros.scenes.scene_files import scene_of
 WALL, HEIGHT, DOOR, LINTEL = 0.12, 2.7, 0.9, 2.05
 #: Metres: width of the corridor, and depth of the rooms beside it.
 CORRIDOR, DEPTH = 1.8, 4.5
+#: What ``--count auto`` has to reach in each room.
+COUNTED = {'sensor': 'd455', 'by': 'error', 'target': 0.8}
 
 
 class Floor(NamedTuple):
@@ -141,16 +145,21 @@ def scan_of(floor: Floor, points: int, **reading) -> Scene:
                     name='floor', **reading)
 
 
-def planned(rooms: int, cameras: int, seconds: float) -> dict[str, Any]:
-    """Plan D455 on the walls of a floor with a number of rooms on either side of the corridor."""
+def planned(rooms: int, cameras: int | str, seconds: float, **asked) -> dict[str, Any]:
+    """Plan cameras on the walls of a floor with some rooms on either side of the corridor."""
     floor = along_corridor([[3.4] * rooms] * 2)
     area = float(np.prod(floor.rooms[:, 1] - floor.rooms[:, 0], axis=1).sum())
     begin, used = time.perf_counter(), time.process_time()
-    found = ocp_ros.plan(scan_of(floor, int(300 * area)), cameras=cameras, sensor='d455',
-                         seconds=seconds)
+    found = ocp_ros.plan(scan_of(floor, int(300 * area)), cameras=cameras, seconds=seconds,
+                         **asked)
     scores = found.assessment.found['scores']
-    return {'area_m2': round(area), 'rooms': len(floor.rooms), 'cameras': cameras,
-            'rooms_found': len(scores['rooms']),
+    count = found.found.get('count')
+    counted = {} if count is None else {
+        'reached': count['reached'], 'at_least': count['at_least'], 'fewer_tried': count['fewer'],
+        'rooms_that_reach': sum(room['reached'] for room in count['rooms']),
+        'least_share_of_a_room': round(min(room['share'] for room in count['rooms']), 3)}
+    return {'area_m2': round(area), 'rooms': len(floor.rooms), 'cameras': len(found.poses),
+            'rooms_found': len(scores['rooms']), **counted,
             'rooms_without_a_camera': sum(room['cameras'] == 0 for room in scores['rooms']),
             'seen': round(found.seen, 3),
             'least_seen_in_a_room': round(min(room['seen'] for room in scores['rooms']), 3),
@@ -163,15 +172,19 @@ def main(argv: Sequence[str] | None = None) -> None:
     """Run."""
     parser = argparse.ArgumentParser(prog='floors', description=__doc__)
     parser.add_argument('--seconds', type=float, default=90.0, help='of each search')
+    parser.add_argument('--count', action='store_true', help='find the number of cameras')
     results.add_record(parser, 'floors')
     arguments = parser.parse_args(argv)
     rows = {}
     for rooms, cameras in ((2, 6), (4, 12), (8, 24)):
-        rows[str(cameras)] = planned(rooms, cameras, arguments.seconds)
-        print(rows[str(cameras)], flush=True)
+        name = f'{2 * rooms + 1}_rooms' if arguments.count else str(cameras)
+        rows[name] = planned(rooms, 'auto', arguments.seconds, **COUNTED) if arguments.count else (
+            planned(rooms, cameras, arguments.seconds, sensor='d455'))
+        print(rows[name], flush=True)
     if arguments.record:
-        results.write('floors', {'search_seconds': arguments.seconds, 'floors': rows},
-                      results.command_of('floors', argv))
+        asked = COUNTED if arguments.count else {}
+        results.write('floors', {'search_seconds': arguments.seconds, **asked, 'floors': rows},
+                      results.command_of('floors', argv), 'counted' if arguments.count else '')
 
 
 if __name__ == '__main__':

@@ -152,7 +152,8 @@ def plan(room: RoomLike, rig: RigLike | None = None, *, cameras: int | str | Non
         candidates together.
     :param by: with ``'auto'``, the quantity of this share: ``error`` (reduction of the depth
         error), ``seen`` (visible points) or ``coverage`` (covered space).
-    :param most: with ``'auto'``, the largest number of cameras to try.
+    :param most: with ``'auto'``, the largest number of cameras to try, times the number of rooms
+        on a floor of several rooms; these have the share in each room.
     :param budget: with ``'auto'``, the largest price of all cameras to be placed.
     :param points: largest number of points of the room; a larger scan is thinned to it.
     :param progress: is called several times a second with the used share of the budget and the

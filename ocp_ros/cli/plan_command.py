@@ -72,12 +72,12 @@ def add_arguments(commands: Commands) -> None:
                          help='number of cameras, or auto; default: 4, or the number in the rig '
                          'file')
     command.add_argument('--target', type=read_share, help='with auto: share to reach of what all '
-                         'candidates reach together; default: 0.95')
+                         'candidates reach together, also in each room of a floor; default: 0.95')
     command.add_argument('--by', choices=('error', 'seen', 'coverage'),
                          help='with auto: share of the error reduction, of the seen points or of '
                          'the space coverage')
-    command.add_argument('--most', type=read_cameras, help='with auto: largest number of cameras; '
-                         'default: 12')
+    command.add_argument('--most', type=read_cameras, help='with auto: largest number of cameras, '
+                         'on a floor of several rooms times the number of rooms; default: 12')
     command.add_argument('--budget', type=read_price, metavar='PRICE', help='with auto: largest '
                          'price of all cameras to be placed, by the list prices or those of the '
                          'rig file')

@@ -24,6 +24,7 @@ the point of a node is visible, it sets the depths of all pixels below the node 
 """
 
 from collections.abc import Callable, Sequence
+from copy import copy
 from typing import NamedTuple
 
 import numpy as np
@@ -281,11 +282,11 @@ class DepthError:
         parts = Trees(*map(list, zip(*(trees for trees, _ in results))))
         # All trees need much memory, so those of a viewpoint are freed when they are joined.
         del results
-        count = 0
-        for number, end in enumerate(parts.end):
+        #: The first node of each viewpoint, and the number of all nodes: (V + 1,).
+        self._starts = np.cumsum([0, *map(len, parts.end)])
+        for number, start in enumerate(self._starts[:-1]):
             # The indices of nodes go on after the trees of earlier viewpoints.
-            parts.end[number] = end + np.uint32(count)
-            count += len(end)
+            parts.end[number] = parts.end[number] + np.uint32(start)
         self.trees = Trees(*map(_join, parts))
         # Calling this object computes an error, here without any visible point.
         self.worst = self(no_bits(len(points)))
@@ -342,6 +343,27 @@ class DepthError:
         pixels = pixels[np.lexsort(keys[::-1])]
         fields = _build_trees(pixels, starts, indices, depths, self.far, int(counts.max()))
         return Trees(*fields), depth_map.reshape(self.shape)
+
+    def parts(self, groups: np.ndarray) -> dict[int, 'DepthError']:
+        """
+        Return the errors of groups of viewpoints, whose sum is the error.
+
+        :param groups: (V,) int, the group of each viewpoint; viewpoints of a group follow on each
+            other.
+        :returns: by group, in its share of the error.
+        """
+        parts = {}
+        for group in np.unique(groups):
+            rows = np.flatnonzero(groups == group)
+            nodes = slice(self._starts[rows[0]], self._starts[rows[-1] + 1])
+            trees = Trees(*(field[nodes] for field in self.trees))
+            parts[int(group)] = part = copy(self)
+            part.trees = trees._replace(end=trees.end - np.uint32(nodes.start))
+            part.viewpoints = self.viewpoints[rows]
+            part._maps = [self._maps[row] for row in rows]
+            part._starts = self._starts[rows[0]:rows[-1] + 2] - nodes.start
+            part.worst = part(no_bits(self._count))
+        return parts
 
     def depth_map(self, viewpoint: int) -> np.ndarray:
         """

@@ -90,6 +90,7 @@ class Facts:
     :ivar regions: for each region its row of the table with :data:`REGION_COLUMNS`.
     :ivar rooms: for each room of a floor its row of the table with :data:`ROOM_COLUMNS`, and
         whether cameras see it; empty for one room.
+    :ivar room_columns: :data:`ROOM_COLUMNS`, and the quantity of a goal for each room.
     :ivar requirements: for each requirement its row with :data:`REQUIREMENT_COLUMNS`.
     :ivar links: pairs of cameras that can be calibrated to each other; '' if not required.
     :ivar certificate: a sentence on the optimality gap; '' if the placement was not planned.
@@ -102,6 +103,7 @@ class Facts:
     cameras: list[CameraFacts]
     regions: list[tuple[str, ...]]
     rooms: list[tuple[tuple[str, ...], bool]]
+    room_columns: tuple[str, ...]
     requirements: list[tuple[str, ...]]
     links: str
     certificate: str
@@ -148,9 +150,13 @@ def facts_of(findings: Mapping[str, Any]) -> Facts:
                for placed, added in zip(findings['cameras'], scores['cameras'])]
     certificate = findings['search']['certificate']['sentence'] if 'search' in findings else ''
     links = links_line(scores['calibratable']) if 'calibratable' in scores else ''
+    rows, columns = room_rows(scores), ROOM_COLUMNS
+    if 'rooms' in (count := findings.get('count', {})):
+        columns = (*ROOM_COLUMNS, SHARE_LABELS[count['by']][0])
+        rows = [((*row, percent(room['share'])), is_seen and room['reached'])
+                for (row, is_seen), room in zip(rows, count['rooms'])]
     return Facts(verdict, not (broken or doubts), doubts, _figures(findings), cameras,
-                 region_rows(scores), room_rows(scores), requirement_rows(scores), links,
-                 certificate)
+                 region_rows(scores), rows, columns, requirement_rows(scores), links, certificate)
 
 
 def region_rows(scores: Mapping[str, Any]) -> list[tuple[str, ...]]:
@@ -339,6 +345,15 @@ def count_sentence(count: Mapping[str, Any]) -> str:
     """Return a sentence on the number of cameras that reaches the target, in this search."""
     target = f'{percent(count["target"])} of the {SHARE_LABELS[count["by"]][1]}'
     cameras, fewer = count_text(count['cameras'], 'camera'), count.get('fewer')
+    if rooms := count.get('rooms'):
+        names, least = count.get('mix', cameras), count['at_least']
+        target += f' in each of {len(rooms)} rooms'
+        if not count['reached']:
+            return (f'{names} did not reach {target} in this search, but in '
+                    f'{sum(room["reached"] for room in rooms)} of them')
+        return (f'{names} reach {target}' + (f'; {fewer} did not in this search' if fewer else '')
+                + ('' if least is None else f'; candidate poses that do cost at least {least:,.0f}'
+                   if 'mix' in count else f'; at least {least} candidate poses are needed for it'))
     if 'mix' in count:
         return f'{count["mix"]} ' + (
             f'reach {target}; no cheaper cameras on the estimated front did in this search'

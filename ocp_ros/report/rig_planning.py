@@ -35,7 +35,8 @@ from ocp_ros.search.registry import check_planner, RIG_SEARCH
 from ocp_ros.search.rig_plan import RigPlan, RigPlanner
 from ocp_ros.simulation.objective import RigEvaluation
 from ocp_ros.simulation.ray_visibility import with_rays
-from ocp_ros.util.settings import ConfigurationError
+from ocp_ros.simulation.room_gains import VIEWPOINT_TOLERANCE
+from ocp_ros.util.settings import ConfigurationError, MAX_CAMERAS
 
 #: Default number of cameras.
 CAMERAS = 4
@@ -49,10 +50,11 @@ class Counting(NamedTuple):
     """
     Criterion to choose the number of cameras.
 
-    :ivar target: share to reach of the best possible value, above 0, at most 1.
+    :ivar target: share to reach of the best possible value, above 0, at most 1; on a floor of
+        several rooms in each room.
     :ivar by: quantity that the share is of: ``error`` (reduction of the depth error), ``seen``
         (points) or ``coverage`` (of space).
-    :ivar most: largest number of cameras to try.
+    :ivar most: largest number of cameras to try; on a floor, times the number of rooms.
     :ivar budget: largest price of all cameras to be placed; infinite for no limit.
     """
 
@@ -127,8 +129,12 @@ class PlannedRig:
                                   task.planner)
         #: The Pareto front of mixes, if the rig has several groups to count.
         self.mixes: list[Mix] = []
+        #: On a floor, a lower bound of the number of cameras, or with groups of their price.
+        self.least: float | None = None
         if task.counting is None:
             self.plans = [self.planner.plan(rig)]
+        elif scene.rooms is not None:
+            self.plans = self._plans_of_floor(rig, task.counting, scene.rooms.count)
         elif len(rig.document.data['cameras']) > 1:
             self.plans = self._plans_by_price(rig, task.counting)
         else:
@@ -155,6 +161,20 @@ class PlannedRig:
             yield plan
             if plan.reaches(counting.by, counting.target):
                 return
+
+    def _plans_of_floor(self, rig: Rig, counting: Counting, rooms: int) -> list[RigPlan]:
+        """Return plans until the fewest or cheapest cameras that reach the target in each room."""
+        groups = len(rig.document.data['cameras'])
+        prices = prices_of(rig) if groups > 1 or np.isfinite(counting.budget) else [1.0]
+        least = max(rig.least_cameras - len(rig.fixed), 1)
+        if min(prices) * least > counting.budget:
+            raise _poor_budget(counting, min(prices) * least)
+        most = min(max(counting.most, least) * rooms, MAX_CAMERAS - len(rig.fixed))
+        plans, bound = self.planner.count_in_rooms(rig, counting.by, counting.target, most, prices,
+                                                   counting.budget)
+        if bound is not None:
+            self.least = bound if groups > 1 else ceil(bound / prices[0])
+        return plans
 
     def _plans_by_price(self, rig: Rig, counting: Counting) -> list[RigPlan]:
         """
@@ -225,7 +245,12 @@ class PlannedRig:
         target, by, *_ = self.task.counting
         found = {'cameras': len(self.best.rig.cameras), 'by': by, 'target': target,
                  'reached': self.best.reaches(by, target)}
-        if self.mixes:
+        if len(shares := self.best.room_shares):
+            found['rooms'] = [{'name': f'room {number}', 'share': float(share),
+                               'reached': bool(share >= target - VIEWPOINT_TOLERANCE)}
+                              for number, share in enumerate(shares, start=1)]
+            found['at_least'] = self.least
+        if len(self.best.rig.document.data['cameras']) > 1 or self.mixes:
             # The plan before may have more cameras, which cost less.
             return {**found, 'mix': mix_text(self.best.rig)}
         return {**found,

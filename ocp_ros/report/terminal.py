@@ -32,7 +32,6 @@ from ocp_ros.report.facts import (
     quality_lines,
     REGION_COLUMNS,
     REQUIREMENT_COLUMNS,
-    ROOM_COLUMNS,
     SHARE_LABELS,
 )
 from ocp_ros.report.room_facts import room_rows
@@ -82,7 +81,7 @@ def show_score(console: Console, findings: Mapping[str, Any]) -> None:
     if facts.regions:
         print_table(console, 'Regions', REGION_COLUMNS, facts.regions)
     if facts.rooms:
-        print_table(console, 'Rooms', ROOM_COLUMNS, *zip(*facts.rooms))
+        print_table(console, 'Rooms', facts.room_columns, *zip(*facts.rooms))
     if facts.requirements:
         print_table(console, 'Requirements', REQUIREMENT_COLUMNS, facts.requirements)
     print_table(console, 'Bill of materials', BILL_COLUMNS, bill_rows(findings['bill']))

@@ -45,12 +45,12 @@ from ocp_ros.report.drawing.room_drawing import (
     room_of,
 )
 from ocp_ros.report.facts import (
+    count_sentence,
     FRONT_COLUMNS,
     front_rows,
     page_facts_of,
     REGION_COLUMNS,
     REQUIREMENT_COLUMNS,
-    ROOM_COLUMNS,
 )
 from ocp_ros.rig.zones import Zone
 from ocp_ros.scenes.scene import Scene
@@ -340,6 +340,8 @@ def tables_of(assessed: Assessment) -> Iterator[str]:
         yield from _html_list(facts.doubts)
     yield _html_table(('', '', ''), facts.figures)
     yield from _html_paragraphs(facts.certificate)
+    if 'count' in assessed.found:
+        yield from _html_paragraphs(count_sentence(assessed.found['count']))
     yield '<h2>How to mount the cameras</h2>'
     rows = []
     for number, (texts, camera) in enumerate(zip(assessed.instructions, facts.cameras), start=1):
@@ -355,7 +357,7 @@ def tables_of(assessed: Assessment) -> Iterator[str]:
     if facts.regions:
         yield '<h2>Regions</h2>' + _html_table(REGION_COLUMNS, facts.regions)
     if facts.rooms:
-        yield '<h2>Rooms</h2>' + _html_table(ROOM_COLUMNS, *zip(*facts.rooms))
+        yield '<h2>Rooms</h2>' + _html_table(facts.room_columns, *zip(*facts.rooms))
     if facts.requirements:
         yield '<h2>Requirements</h2>' + _html_table(REQUIREMENT_COLUMNS, facts.requirements)
     if rows := front_rows(assessed.found):

@@ -307,6 +307,12 @@ class Rig:
         return self.mount.on == 'box'
 
     @property
+    def group_cameras(self) -> list[Camera]:
+        """Return the first camera of each group of the document; none has a count of 0."""
+        counts = [group.get('count', 1) for group in self.document.data['cameras']]
+        return [self.cameras[first] for first in np.cumsum([0, *counts[:-1]])]
+
+    @property
     def least_cameras(self) -> int:
         """Return the least number of cameras, fixed ones included, that anything requires."""
         return max([self.seen_by, *(region.air.seen_by for region in self.regions if region.air),

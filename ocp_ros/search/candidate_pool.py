@@ -36,7 +36,8 @@ from scipy.spatial import cKDTree
 
 #: Number of candidates of all models together.
 CANDIDATES = 2000
-#: Number of poses of each model whose views are computed even without time left.
+#: Number of poses of each model, for each room of a floor, whose views are computed even without
+#: time left.
 MIN_VIEWS = 256
 #: Distance for which a rotation by a radian counts, to find poses with similar views.
 METRES_PER_RADIAN = 1.0
@@ -125,7 +126,7 @@ class CandidatePool:
         candidates; at least ``max_candidates`` are drawn.
     :param threads: number of threads.
     :param should_stop: returns whether to stop; the views of the first ``MIN_VIEWS`` poses
-        of each model are computed in any case.
+        of each model and room are computed in any case.
     :param max_grid_poses: largest number of poses of :meth:`dense_grid`.
     :ivar complete: whether the views of all drawn poses were computed.
     :raises ConfigurationError: if a camera has no feasible pose, or sees no point from all poses.
@@ -141,6 +142,7 @@ class CandidatePool:
         #: By model, the number of places that its grid was asked to have.
         self._min_places: dict[CameraModel, int] = defaultdict(int)
         models = problem.rig.placed_models
+        min_views = MIN_VIEWS * room_count(problem)
         self.complete = True
         for model in models:
             camera = problem.rig.models.index(model)
@@ -152,11 +154,11 @@ class CandidatePool:
             _, first_rows, groups = np.unique(poses[:, :3], axis=0, return_index=True,
                                               return_inverse=True)
             # Some versions of NumPy return the groups as a column, so they are flattened.
-            rank = np.where(np.arange(len(poses)) < MIN_VIEWS, -1, first_rows[groups.ravel()])
+            rank = np.where(np.arange(len(poses)) < min_views, -1, first_rows[groups.ravel()])
             order = np.argsort(rank, kind='stable')
             views = []
             # The time is checked before each batch.
-            while len(views) < len(poses) and (len(views) < MIN_VIEWS or not should_stop()):
+            while len(views) < len(poses) and (len(views) < min_views or not should_stop()):
                 batch = order[len(views):][:256]
                 views += problem.simulator.look_many(poses[batch], camera, threads)
             self.complete &= len(views) == len(drawn)
@@ -324,6 +326,12 @@ class CandidatePool:
                 'a distance at which all do', 'lower it or use fewer cameras')
 
 
+def room_count(problem: Problem) -> int:
+    """Return the number of rooms of the floor of a problem; 1 for a single room."""
+    rooms = problem.simulator.scene.rooms
+    return 1 if rooms is None else rooms.count
+
+
 def pool_of(problem: Problem, budget: Budget) -> CandidatePool:
     """
     Create the candidates for a search.
@@ -335,7 +343,8 @@ def pool_of(problem: Problem, budget: Budget) -> CandidatePool:
     # fewer candidates. They are the first of the same poses for every budget.
     max_candidates, max_grid_poses = CANDIDATES, MAX_GRID_POSES
     if budget.evaluations is not None:
-        max_candidates = int(np.clip(budget.evaluations // 2, 64, max_candidates))
+        max_candidates = int(np.clip(budget.evaluations // 2 * room_count(problem), 64,
+                                     max_candidates))
         max_grid_poses = int(np.clip(budget.evaluations * 10, 500, max_grid_poses))
     # The views may take a fifth of the time.
     return CandidatePool(problem, max_candidates, CANDIDATES, os.cpu_count() or 1,

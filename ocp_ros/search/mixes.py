@@ -25,7 +25,7 @@ from itertools import product
 from typing import NamedTuple, TypeVar
 
 import numpy as np
-from ocp_ros.rig.rig_file import Camera, Rig, with_counts
+from ocp_ros.rig.rig_file import Rig, with_counts
 from ocp_ros.search.candidate_pool import are_spaced, CandidatePool, Sites, views_of
 from ocp_ros.search.pose_decoder import coarse_objective
 from ocp_ros.simulation.objective import Objective
@@ -62,19 +62,13 @@ def prices_of(rig: Rig) -> list[float]:
     :raises ConfigurationError: if a price is not known.
     """
     prices = []
-    for number, camera in enumerate(_firsts_of(rig)):
+    for number, camera in enumerate(rig.group_cameras):
         if camera.price is None:
             raise rig.document.error(
                 ('cameras', number), f'{camera.name}, whose price is not known',
                 'a price for each group of cameras', 'add price: 419')
         prices.append(float(camera.price))
     return prices
-
-
-def _firsts_of(rig: Rig) -> list[Camera]:
-    """Return the first camera of each group of a rig, of which each has one at least."""
-    counts = [group.get('count', 1) for group in rig.document.data['cameras']]
-    return [rig.cameras[first] for first in np.cumsum([0, *counts[:-1]])]
 
 
 def mixes_of(objective: Objective, pool: CandidatePool, max_cameras: int, max_price: float,
@@ -89,7 +83,7 @@ def mixes_of(objective: Objective, pool: CandidatePool, max_cameras: int, max_pr
     :param rng: chooses the candidates that are compared.
     """
     rig, coarse = objective.rig, coarse_objective(objective)
-    prices, models = prices_of(rig), [camera.model for camera in _firsts_of(rig)]
+    prices, models = prices_of(rig), [camera.model for camera in rig.group_cameras]
     most = min(max_cameras, MAX_CAMERAS - len(rig.fixed))
     least = max(rig.least_cameras - len(rig.fixed), 1)
     # The sites of each group, by the numbers of cameras.

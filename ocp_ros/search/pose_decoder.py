@@ -43,7 +43,8 @@ def coarse_objective(objective: Objective) -> Objective:
     # Depth maps of 32 rows rank placements nearly the same in less time.
     engine = replace(simulator.config.engine, error_rows=32)
     config = replace(simulator.config, engine=engine)
-    return Objective(Simulator(simulator.scene, config, simulator.models), objective.rig)
+    return Objective(Simulator(simulator.scene, config, simulator.models), objective.rig,
+                     objective.room_goal)
 
 
 def _cached_look(simulator: Simulator) -> Callable[[np.ndarray, int], View]:

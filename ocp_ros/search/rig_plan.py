@@ -14,23 +14,26 @@
 
 """Plan a rig in a room: the placement, its quality, and the number of cameras."""
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
 from ocp_ros.geometry.engine_config import EngineConfig
-from ocp_ros.rig.rig_file import Rig
+from ocp_ros.rig.rig_file import Rig, with_counts
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.search.budget import Budget, Progress
 from ocp_ros.search.candidate_pool import check_regions, pool_of, Sites, views_of
+from ocp_ros.search.floor_counts import FloorCounts, Placed
 from ocp_ros.search.plan import load_kernels, plan
-from ocp_ros.search.pose_annealing import SearchResult
+from ocp_ros.search.pose_annealing import result_of_placement, SearchResult
 from ocp_ros.search.proof.certificate import Certificate
 from ocp_ros.search.registry import check_planner, OBSERVED, PLANNERS, RIG_SEARCH
 from ocp_ros.search.rig_search import GrowingProof, prove_gap
-from ocp_ros.simulation.objective import RigEvaluation
+from ocp_ros.simulation.objective import Objective, RigEvaluation
 from ocp_ros.simulation.problem import Problem
+from ocp_ros.simulation.room_gains import RoomGoal, shares_of, VIEWPOINT_TOLERANCE
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.util.resources import DEFAULT_MODEL
 from ocp_ros.util.settings import ConfigurationError
@@ -54,6 +57,8 @@ class RigPlan:
     :ivar planner: name of the planner.
     :ivar certificate: lower bound and optimality gap, if proved; otherwise None.
     :ivar uncertain: reason why there is no certificate; otherwise empty.
+    :ivar room_shares: (R,) what the placement reaches in each room of a floor, if they have a
+        goal, as a share of what the union bound reaches; otherwise empty.
     """
 
     rig: Rig
@@ -67,6 +72,7 @@ class RigPlan:
     planner: str
     certificate: Certificate | None = None
     uncertain: str = ''
+    room_shares: np.ndarray = field(default_factory=lambda: np.empty(0))
 
     @property
     def shares(self) -> dict[str, float]:
@@ -85,18 +91,13 @@ class RigPlan:
 
     def reaches(self, by: str, target: float) -> bool:
         """
-        Return whether a share reaches a target and all requirements of the rig are met.
+        Return whether a share reaches a target, in each room, and the rig's requirements are met.
 
         :param by: name of one of the :attr:`shares`.
         :param target: from 0 to 1.
         """
-        # Another set of viewpoints would change a share by about this.
-        tolerance = 0.005
-        met = all(share >= region.must_see
-                  for region, share in zip(self.rig.regions, self.evaluation.regions))
-        met &= all(share >= requirement.share for requirement, share in zip(
-            self.rig.requirements, self.evaluation.requirements))
-        return met and self.evaluation.connected and self.shares[by] >= target - tolerance
+        least = min([self.shares[by], *self.room_shares])
+        return self.evaluation.meets(self.rig) and bool(least >= target - VIEWPOINT_TOLERANCE)
 
 
 class ValidatedErrors(NamedTuple):
@@ -136,18 +137,23 @@ class RigPlanner:
         self.budget = budget.restarted()
         self.seed = seed
         self._progress = progress
-        self._problems: dict[Rig, Problem] = {}
+        #: What searches have to reach in each room of a floor; None for nothing.
+        self.room_goal: RoomGoal | None = None
+        self._problem: Problem | None = None
         problem = self.problem(rig)
         self.pool = pool_of(problem, self.budget)
         check_regions(problem.objective, self.pool)
 
     def problem(self, rig: Rig) -> Problem:
         """Return the problem of a rig in the room."""
-        if rig not in self._problems:
-            # Only the last problem is cached, because an engine needs tens of megabytes.
-            config = SimulationConfig(engine=self.engine)
-            self._problems = {rig: Problem.of(self.scene, rig, config)}
-        return self._problems[rig]
+        # Only the last problem is cached. The next one shares its engine, which needs tens of
+        # megabytes.
+        config, last = SimulationConfig(engine=self.engine), self._problem
+        if last is None:
+            self._problem = Problem.of(self.scene, rig, config)
+        elif rig is not last.rig or last.objective.room_goal is not self.room_goal:
+            self._problem = last.with_rig(rig, config, self.room_goal)
+        return self._problem
 
     def plan(self, rig: Rig, before: SearchResult | None = None, start: Sites = ()) -> RigPlan:
         """
@@ -189,11 +195,23 @@ class RigPlanner:
         proved = self.pool.union_views(rig, validation.simulator.evidence)
         errors = ValidatedErrors(validation.depth_error(views), validation.depth_error(proved),
                                  validation.simulator.depth_error.worst)
+        shares = np.empty(0) if (goal := self.room_goal) is None else shares_of(
+            self._judge(objective).room_gains(views, goal.by), self._possible_gains(objective))
         return RigPlan(
             rig, answer, objective.evaluate_views(views)._replace(
                 connected=objective.connects(views)), objective.evaluate_views(union), errors,
             np.array(losses), len(self.pool), self.budget.elapsed, self.planner,
-            answer.certificate, answer.uncertain)
+            answer.certificate, answer.uncertain, shares)
+
+    def _possible_gains(self, objective: Objective) -> np.ndarray:
+        """Return what the union bound gains in each room of a floor by the room goal: (R,)."""
+        judge = self._judge(objective)
+        union = self.pool.union_views(objective.rig, judge.simulator.evidence)
+        return judge.room_gains(union, self.room_goal.by)
+
+    def _judge(self, objective: Objective) -> Objective:
+        """Return what judges the rooms: for the depth error, the validation viewpoints."""
+        return objective.validation if self.room_goal.by == 'error' else objective
 
     def certified(self, plan: RigPlan, budget: Budget) -> RigPlan:
         """
@@ -243,3 +261,71 @@ class RigPlanner:
             before = plan.answer
             # The search for each number of cameras has the whole budget.
             self.budget = self.budget.restarted()
+
+    def count_in_rooms(self, rig: Rig, by: str, target: float, most: int, prices: Sequence[float],
+                       max_price: float) -> tuple[list[RigPlan], float | None]:
+        """
+        Return plans of a floor until the fewest cameras that reach a share in each room.
+
+        Greedy steps find a number of cameras, or a mix of groups, and a first placement. Searches
+        with fewer cameras follow; their number is halved between a lower bound and the last that
+        suffices. The greedy steps take cameras x points, and the searches the logarithm of the
+        number of cameras.
+
+        :param rig: has one group of cameras at least; their numbers are replaced.
+        :param by: see :class:`~ocp_ros.simulation.room_gains.RoomGoal`, also for ``target``.
+        :param most: largest number of cameras.
+        :param prices: of a camera of each group; 1 to count cameras.
+        :param max_price: largest price of all cameras.
+        :returns: plans, the cheapest first, of which the last is the result; and a lower bound of
+            the price of the cameras, None if there is none.
+        """
+        # The first rig has as many cameras as there may be.
+        full = with_counts(rig, [max(most // len(prices), 1)] * len(prices))
+        rooms = self.scene.rooms.count
+        self.room_goal = RoomGoal(by, np.full(rooms, target), self.pool.union_views(full))
+        objective = self.problem(full).objective
+        counts = FloorCounts(objective, self.pool, prices)
+        possible = self._possible_gains(objective)
+
+        def lacking(placed: Sequence[Placed]) -> np.ndarray | None:
+            views = [one.site.view for one in placed]
+            shares = shares_of(self._judge(objective).room_gains(views, by), possible)
+            if (shares >= target - VIEWPOINT_TOLERANCE).all() and objective.evaluate_views(
+                    views).meets(rig):
+                return None
+            return target - shares
+
+        placed = counts.greedy(most, max_price, lacking, lambda: self.budget.stopped)
+        self.room_goal = counts.goal
+        least_price = counts.least_price(placed, target)
+
+        def planned(placed: Sequence[Placed]) -> RigPlan:
+            placed = sorted(placed, key=attrgetter('group'))
+            groups = np.bincount([one.group for one in placed], minlength=len(prices))
+            sites = tuple(one.site for one in placed)
+            self.budget = self.budget.restarted()
+            plan = self.plan(with_counts(rig, groups.tolist()), start=sites)
+            if plan.reaches(by, target):
+                return plan
+            # A search may lose what greedy steps have reached.
+            objective = self.problem(plan.rig).objective
+            first = self._with_comparison(plan.rig, result_of_placement(
+                objective, sites, plan.answer.evaluations))
+            return first if first.reaches(by, target) else plan
+
+        # Numbers of cameras that do not suffice and that do, between which the number is halved.
+        enough, failed, reached = placed, None, None
+        low = len(placed) - 1 if lacking(placed) is not None else counts.fewest(least_price) - 1
+        while len(enough) - low > 1 and not self.budget.stopped:
+            fewer = enough
+            while len(fewer) > (low + len(enough)) // 2:
+                fewer = counts.without_one(fewer)
+            plan = planned(fewer)
+            if plan.reaches(by, target):
+                groups = [one.group for one in sorted(fewer, key=attrgetter('group'))]
+                enough, reached = [*map(Placed, groups, plan.answer.sites)], plan
+            else:
+                low, failed = len(fewer), plan
+        plans = [failed, reached or planned(enough)]
+        return [plan for plan in plans if plan is not None], least_price

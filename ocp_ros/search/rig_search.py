@@ -147,7 +147,7 @@ class ColumnGenerationSearch:
         self.evaluations = 0
         self.least_loss = np.inf
         #: Whether the relaxation counts goals of the rig only in part.
-        self._relaxed = bool(relaxed_goals(problem.rig))
+        self._relaxed = bool(relaxed_goals(problem.objective))
         self._time_shares = TUNING.relaxed_time_shares if self._relaxed else TUNING.time_shares
         #: Stage of the search: 0 is the grid, 1 refinement, 2 its repetitions, 3 the proof.
         self._stage = 0
@@ -519,7 +519,7 @@ class GrowingProof:
         if final is not None and proved.bound < (1.0 - TUNING.small_gap) * min(loss, final.bound):
             proved = final
         # A final bound of 0 says that no placement gains more than the whole loss of this one.
-        relaxed = relaxed_goals(self._problem.rig)
+        relaxed = relaxed_goals(self._problem.objective)
         if proved.bound <= 0.0 < loss and (relaxed or not self.relaxation.closed):
             return None, ('no bound for this goal' if relaxed and self.relaxation.closed
                           else 'there was no time to prove one')

@@ -34,6 +34,7 @@ from ocp_ros.simulation.covisibility import (
     watched_share,
 )
 from ocp_ros.simulation.interference import lit_shares, MAX_LIT_SHARE
+from ocp_ros.simulation.room_gains import RoomGains, RoomGoal, shares_of
 from ocp_ros.simulation.simulator import Simulator, View
 from ocp_ros.util.settings import ConfigurationError, MAX_CAMERAS
 
@@ -69,6 +70,13 @@ class RigEvaluation(NamedTuple):
     connected: bool
     requirements: np.ndarray
 
+    def meets(self, rig: Rig) -> bool:
+        """Return whether a rig's regions, requirements and links have what they need."""
+        return bool(self.connected) and all(
+            share >= region.must_see for region, share in zip(rig.regions, self.regions)) and all(
+            share >= requirement.share
+            for requirement, share in zip(rig.requirements, self.requirements))
+
 
 class Contribution(NamedTuple):
     """
@@ -91,10 +99,12 @@ class Objective:
     :param simulator: the engine; its camera models are those of the K cameras to be placed, then
         of the F in place.
     :param rig: the rig of these cameras.
+    :param room_goal: what a search has to reach in each room of a floor: :attr:`searched` pays 10
+        x the shortfall of each room.
     :raises ConfigurationError: if a region contains no points of the room.
     """
 
-    def __init__(self, simulator: Simulator, rig: Rig) -> None:
+    def __init__(self, simulator: Simulator, rig: Rig, room_goal: RoomGoal | None = None) -> None:
         self.simulator = simulator = simulator.with_requirements(rig.requirements)
         self.rig = rig
         airs = [self._air_in(region) for region in rig.regions if region.air]
@@ -104,6 +114,11 @@ class Objective:
         numbers = np.argsort(simulator.visibility.place_order)[len(simulator.grid):]
         air_numbers = iter(np.split(numbers, np.cumsum([len(cells) for cells in airs])))
         self._link_condition = rig.calibratable
+        self.room_goal = room_goal
+        #: By quantity, for :meth:`room_gains`.
+        self._room_gains: dict[str, RoomGains] = {}
+        #: (R,) what is possible in each room, if the loss includes the goal.
+        self.possible_gains: np.ndarray | None = None
         count = len(rig.cameras)
         self.fixed = [simulator.look(pose, count + k) for k, pose in enumerate(rig.fixed_poses)]
         self._empty_view = View(
@@ -160,6 +175,7 @@ class Objective:
         """Return the same objective on the validation viewpoints."""
         other = copy(self)
         other.simulator = self.simulator.with_validation()
+        other._room_gains = {}
         return other
 
     @cached_property
@@ -177,15 +193,19 @@ class Objective:
     @cached_property
     def searched(self) -> 'Objective':
         """
-        Return the objective of a search: links need a margin.
+        Return the objective of a search: links need a margin, and rooms their share of a goal.
 
         What two cameras share in the room itself may be less than in the engine.
         """
-        if (condition := self._link_condition) is None:
+        condition, goal = self._link_condition, self.room_goal
+        if condition is None and goal is None:
             return self
         other = copy(self)
-        other._link_condition = condition._replace(
-            overlap=min(LINK_MARGIN * condition.overlap, 1.0))
+        if condition is not None:
+            other._link_condition = condition._replace(
+                overlap=min(LINK_MARGIN * condition.overlap, 1.0))
+        if goal is not None:
+            other.possible_gains = self.room_gains(goal.union, goal.by)
         return other
 
     @cached_property
@@ -287,7 +307,7 @@ class Objective:
         pair_cost = self._pair_cost(views)
         seen = self._seen(all_views)
         # The cells that at least ``rig.seen_by`` cameras see.
-        covered = seen_by([view.covered for view in all_views], self.rig.seen_by)[-1]
+        covered = self._covered(all_views)
         loss, error, shares, met = self._loss_of(seen, all_views)
         # A cost of pairs within the tolerance is a rounding error.
         return RigEvaluation(
@@ -328,17 +348,20 @@ class Objective:
             # A region of air may require more cameras than the rig requires for points.
             level = min(count, self.rig.seen_by)
             error_of = self.simulator.depth_error.given(levels[level])
+            gains_of = (None if self.possible_gains is None else
+                        self._gains_by(self.room_goal.by).given(levels[level]))
             for k, view in enumerate(more):
                 # With the further camera, these points count as seen too.
                 new = levels[level - 1] & view.seen
                 losses[k] += self._loss_of(levels[level] | new, [*given, view], count,
-                                           error_of(new))[0]
+                                           error_of(new), gains_of)[0]
         place = len(views) if place is None else place
         return losses / len(counts) + [self._pair_cost([*views[:place], view, *views[place:]])
                                        for view in more]
 
     def _loss_of(self, seen: np.ndarray, views: Sequence[View], max_seen_by: int = MAX_CAMERAS,
-                 error: float | None = None) -> tuple[float, float, np.ndarray, np.ndarray]:
+                 error: float | None = None, gains_of: RoomGains | None = None
+                 ) -> tuple[float, float, np.ndarray, np.ndarray]:
         """
         Return the loss without the cost of links, the depth error, and two arrays of shares.
 
@@ -349,6 +372,7 @@ class Objective:
         :param max_seen_by: a region of air requires at most this number of cameras for a cell;
             :meth:`losses_with` lowers the requirements in this way.
         :param error: the depth error of these points, metres; None to compute it.
+        :param gains_of: computes the gains in rooms, for a goal; None for that of all points.
         """
         error = self.simulator.depth_error(seen) if error is None else error
         shares = np.array([
@@ -364,7 +388,44 @@ class Objective:
             met[k] = steps[-1]
             # With fewer cameras more points meet it, so this is 0 only if it is met.
             loss += MUST_SEE_COST * np.maximum(requirement.searched_share - steps, 0.0).mean()
+        if (possible := self.possible_gains) is not None:
+            gains = (gains_of or self._gains_by(self.room_goal.by))(
+                seen, self._covered(views, max_seen_by))
+            loss += MUST_SEE_COST * np.maximum(
+                self.room_goal.targets - shares_of(gains, possible), 0.0).sum()
         return float(loss), error, shares, met
+
+    def _covered(self, views: Sequence[View], max_seen_by: int = MAX_CAMERAS) -> np.ndarray:
+        """Return the cells that enough of all views cover, at most a number: packed bits."""
+        return seen_by([view.covered for view in views], min(self.rig.seen_by, max_seen_by))[-1]
+
+    def _gains_by(self, by: str) -> RoomGains:
+        """Return what computes the gains in the rooms of a floor, by a quantity."""
+        if by not in self._room_gains:
+            self._room_gains[by] = RoomGains(self.simulator, by)
+        return self._room_gains[by]
+
+    def room_gains(self, views: Sequence[View], by: str, room: int | None = None) -> np.ndarray:
+        """
+        Return what cameras gain in each room of a floor; see :class:`RoomGains`.
+
+        :param views: as for :meth:`evaluate_views`.
+        :param by: see :class:`~ocp_ros.simulation.room_gains.RoomGoal`.
+        :param room: the number of the only room that matters; None for all.
+        :returns: (R,), or () for one room.
+        """
+        all_views = self._with_fixed(views)
+        bits = self._seen(all_views), self._covered(all_views)
+        gains = self._gains_by(by)
+        return gains(*bits) if room is None else np.array(gains.of_room(room, *bits))
+
+    def room_shares(self, views: Sequence[View]) -> np.ndarray:
+        """Return the share that each room reaches of its goal's quantity: (R,)."""
+        goal = self.room_goal
+        possible = self.possible_gains
+        if possible is None:
+            possible = self.room_gains(goal.union, goal.by)
+        return shares_of(self.room_gains(views, goal.by), possible)
 
     def _met_shares(self, number: int, views: Sequence[View]) -> np.ndarray:
         """

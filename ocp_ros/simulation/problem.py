@@ -32,6 +32,7 @@ from ocp_ros.rig.mounts import first_headings
 from ocp_ros.rig.rig_file import Rig
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.simulation.objective import Objective, RigEvaluation
+from ocp_ros.simulation.room_gains import RoomGoal
 from ocp_ros.simulation.simulation_config import EpisodeConfig, SimulationConfig
 from ocp_ros.simulation.simulator import Simulator, View
 from ocp_ros.util.settings import ConfigurationError
@@ -101,16 +102,18 @@ class Problem:
             f'max_range: found {max_range:g} m with a rig file; expected none, as its cameras '
             'have ranges of their own')
 
-    def with_rig(self, rig: Rig, config: SimulationConfig) -> 'Problem':
+    def with_rig(self, rig: Rig, config: SimulationConfig, room_goal: RoomGoal | None = None
+                 ) -> 'Problem':
         """
         Return the problem of another rig in the same room, which shares the engine.
 
         :param rig: from a rig file.
         :param config: its settings, with the same engine.
+        :param room_goal: what a search has to reach in each room of a floor.
         :raises ConfigurationError: if the rig does not fit the room.
         """
         simulator = self.simulator.with_models(rig.models, config)
-        return Problem(Objective(simulator, rig), FeasibleRegion(simulator.scene, rig))
+        return Problem(Objective(simulator, rig, room_goal), FeasibleRegion(simulator.scene, rig))
 
     def seen_by_fixed(self) -> Subset:
         """Return the points visible to the cameras in place."""

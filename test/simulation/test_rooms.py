@@ -15,18 +15,25 @@
 """Rooms of a floor: each has viewpoints and a row of the table, whatever is found in it."""
 
 from io import StringIO
+from itertools import combinations
 
 from benchmarks.floors import along_corridor, scan_of
 import numpy as np
+import ocp_ros
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.report.assessment import assess
-from ocp_ros.report.facts import facts_of, ROOM_COLUMNS
+from ocp_ros.report.facts import count_sentence, facts_of, ROOM_COLUMNS
 from ocp_ros.report.terminal import print_table
 from ocp_ros.report.viewer import tables_of
 from ocp_ros.rig.placement_file import placement_of
 from ocp_ros.rig.rig_file import rig_of
 from ocp_ros.rooms import scene_source
 from ocp_ros.scenes.scene import turned
+from ocp_ros.search.candidate_pool import CandidatePool
+from ocp_ros.search.floor_counts import FloorCounts, views_of
+from ocp_ros.simulation.problem import Problem
+from ocp_ros.simulation.room_gains import RoomGoal, shares_of, VIEWPOINT_TOLERANCE
+from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.viewpoints import viewpoints_of
 from ocp_ros.studio.model import Studio
 from ocp_ros.studio.texts import summary
@@ -98,3 +105,60 @@ def test_a_room_that_is_not_seen_is_red_and_named_everywhere(floor):
     assert page.count('<tr class=bad>') == 4 and 'room 5' in page
     studio = Studio(floor, room, rig, poses)
     assert summary(studio.evaluation()).count('<tr style=') == 4
+
+
+@pytest.fixture(scope='module')
+def small_floor():
+    """Return a scan of a corridor and three rooms."""
+    return scan_of(along_corridor([[3.4] * 2, [3.4]]), 20_000, all_rooms=True, max_points=4000)
+
+
+@pytest.mark.parametrize('by', ['error', 'seen', 'coverage'])
+def test_greedy_numbers_for_each_room_are_between_the_bound_and_the_fewest(small_floor, by):
+    target, rig = 0.8, rig_of(12, 'omnidirectional')
+    problem = Problem.of(small_floor, rig, SimulationConfig(engine=EngineConfig('fast', 32, 0.5)))
+    pool = CandidatePool(problem, 14)
+    views = pool.candidates_of(rig.cameras[0].model).views
+    goal = RoomGoal(by, np.full(4, target), pool.union_views(rig))
+    objective = problem.with_rig(rig, problem.simulator.config, goal).objective
+    counts = FloorCounts(objective, pool, [1.0])
+    placed = counts.greedy(12, np.inf, lambda _: None, lambda: False)
+    own, possible = (counts._objective.room_gains(some, by) for some in (views_of(placed), views))
+    assert (shares_of(own, possible) >= target).all() and counts.without_one(placed)
+    # All sets of candidates, the smallest first.
+    fewest = next(count for count in range(1, 15) for some in combinations(views, count)
+                  if (counts._objective.room_gains(some, by)
+                      >= (target - VIEWPOINT_TOLERANCE) * possible).all())
+    least = counts.least_price(placed, target)
+    assert 1.0 < least <= fewest <= len(placed) <= fewest + 2
+    # The parts of the rooms sum up to all, and only one room needs its share.
+    if by == 'error':
+        error = objective.simulator.depth_error
+        assert objective.room_gains(views, by).sum() == pytest.approx(
+            error.worst - objective.depth_error(views))
+    assert objective.searched.loss([]) > objective.loss([]) + 10.0
+    # A judge who doubts one room gets more cameras there.
+    doubted = counts.greedy(12, np.inf, lambda some: np.array([0.0, 0.0, 0.0, 0.1]) if (
+        len(some) <= len(placed)) else None, lambda: False)
+    assert len(doubted) > len(placed) and counts.goal.targets[3] > target
+
+
+def test_cameras_are_counted_so_that_each_room_has_its_share(small_floor):
+    plan = ocp_ros.plan(small_floor, cameras='auto', by='coverage', target=0.6, evaluations=20,
+                        mount='plane')
+    count, rooms = plan.found['count'], plan.found['scores']['rooms']
+    assert plan.reached and count['at_least'] <= count['cameras'] == len(plan.poses)
+    assert sum(room['cameras'] for room in rooms) == count['cameras']
+    assert all(room['reached'] and room['share'] >= 0.59 for room in count['rooms'])
+    curve = plan.found['curve']
+    assert curve[-1]['cameras'] == count['cameras']
+    assert count['fewer'] in (None, count['cameras'] - 1)
+    assert count['fewer'] or count['at_least'] == count['cameras']
+    text = count_sentence(count)
+    assert 'in each of 4 rooms' in text and f'at least {count["at_least"]} candidate' in text
+    page = ''.join(tables_of(plan.assessment))
+    assert text in page and page.count('<th>of reachable space') == 1
+    assert text in ' '.join(str(plan).split())
+    few = ocp_ros.plan(small_floor, cameras='auto', most=1, by='seen', target=1.0, evaluations=10)
+    assert not few.reached and len(few.poses) == 4
+    assert 'but in' in count_sentence(few.found['count'])

@@ -20,7 +20,7 @@ The proof holds for these poses, for the engine's visibility and for its depth m
 
 from dataclasses import dataclass
 
-from ocp_ros.rig.rig_file import Rig
+from ocp_ros.simulation.objective import Objective
 
 
 @dataclass(frozen=True)
@@ -68,10 +68,12 @@ class Certificate:
         return max((self.on_grid - self.found) / self.on_grid, 0.0) if self.on_grid > 0.0 else 0.0
 
 
-def relaxed_goals(rig: Rig) -> tuple[str, ...]:
-    """Return the keys of a rig's goals that lower bounds count only in part, or not at all."""
+def relaxed_goals(objective: Objective) -> tuple[str, ...]:
+    """Return the names of goals that lower bounds count only in part, or not at all."""
+    rig = objective.rig
     found = {'seen_by': rig.seen_by > 1, 'calibratable': rig.calibratable is not None,
              'air': any(region.air for region in rig.regions),
              'interference': rig.no_interference,
+             'the share of each room': objective.room_goal is not None,
              'require': any(requirement.cameras > 1 for requirement in rig.requirements)}
     return tuple(name for name, relaxed in found.items() if relaxed)
