@@ -54,11 +54,19 @@ def rows() -> list[str]:
         angles = ' x '.join(f'{np.rad2deg(angle):.0f}'
                             for angle in (model.horizontal_fov, model.vertical_fov))
         across, down = (f'{1e3 * size:.1f}' for size in pixel_size(model, 3.0))
-        lines.append(f'| `{name}` | {sensor.title} | {model.min_range:g} to {model.max_range:g} | '
-                     f'{angles} | {model.resolution[0]} x {model.resolution[1]} | '
+        mark = '*' * bool(sensor.unverified)
+        lines.append(f'| `{name}`{mark} | {sensor.title} | '
+                     f'{model.min_range:g} to {model.max_range:g} | {angles} | '
+                     f'{model.resolution[0]} x {model.resolution[1]} | '
                      f'{across} x {down} | {1e3 * noise_at(model, 2.0):.1f} | '
                      f'{price_text(name)} |')
     return lines
+
+
+def unverified_rows() -> list[str]:
+    """Return one line of Markdown per sensor with figures that no public page confirmed."""
+    return [f'| `{name}` | {sensor.unverified} |' for name, sensor in SENSORS.items()
+            if sensor.unverified]
 
 
 def bandwidth_rows() -> list[str]:
@@ -72,4 +80,4 @@ def bandwidth_rows() -> list[str]:
 
 
 if __name__ == '__main__':
-    print('\n'.join([*rows(), '', *bandwidth_rows()]))
+    print('\n'.join([*rows(), '', *unverified_rows(), '', *bandwidth_rows()]))

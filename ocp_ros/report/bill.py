@@ -53,9 +53,10 @@ def bill_of_materials(assessed: 'Assessment') -> dict[str, Any]:
     Return what has to be bought for the cameras to be placed, as plain data.
 
     :returns: ``items``: ``item``, ``count``, ``price`` of one and ``sum`` (None if unknown),
-        ``source`` and ``date`` of the price; ``cables``: ``camera``, ``along`` (walls, ceiling or
-        floor), ``length`` and the length to ``order``, metres; ``computer``: where they end, x, y,
-        z, metres; ``total`` of the known prices, in ``currency``, and how many items ``lack`` one.
+        ``source`` and ``date`` of the price, and what is ``unverified`` of the sensor; ``cables``:
+        ``camera``, ``along`` (walls, ceiling or floor), ``length`` and the length to ``order``,
+        metres; ``computer``: where they end, x, y, z, metres; ``total`` of the known prices, in
+        ``currency``, and how many items ``lack`` one.
     """
     placed = [one for one in assessed.placement.cameras if one.mount != FIXED]
     items = []
@@ -67,10 +68,11 @@ def bill_of_materials(assessed: 'Assessment') -> dict[str, Any]:
             'item': SENSORS[sensor].title if sensor in SENSORS else sensor or 'camera',
             'count': count, 'price': price, 'sum': None if price is None else price * count,
             'source': listed.source if is_listed else '' if price is None else 'rig file',
-            'date': listed.date if is_listed else ''})
+            'date': listed.date if is_listed else '',
+            'unverified': SENSORS[sensor].unverified if sensor in SENSORS else ''})
     for mount, count in Counter(one.mount for one in placed).items():
         items.append({'item': MOUNT_ITEMS[mount], 'count': count, 'price': None, 'sum': None,
-                      'source': '', 'date': ''})
+                      'source': '', 'date': '', 'unverified': ''})
     computer, cables = _cables_of(assessed)
     sums = [item['sum'] for item in items if item['sum'] is not None]
     # Mounts have no list price.
@@ -82,7 +84,10 @@ def bill_of_materials(assessed: 'Assessment') -> dict[str, Any]:
 def bill_rows(bill: Mapping[str, Any]) -> list[tuple[str, ...]]:
     """Return the bill as rows: number, item, price of one, price of all, remark."""
     rows = [(str(item['count']), item['item'], _amount(item['price']), _amount(item['sum']),
-             ', '.join(filter(None, [item['source'], item['date']]))) for item in bill['items']]
+             '; '.join(filter(None, [
+                 ', '.join(filter(None, [item['source'], item['date']])),
+                 item['unverified'] and f'compare with the data sheet: {item["unverified"]}'])))
+            for item in bill['items']]
     lengths = Counter(cable['order'] for cable in bill['cables'])
     rows += [(str(count), f'cable of {length:g} m', '', '', 'along walls, ceiling or floor')
              for length, count in sorted(lengths.items())]

@@ -29,7 +29,9 @@ from ocp_ros.geometry.cameras import CameraModel, DepthNoise
 
 MICROSOFT = ('Microsoft, Azure Kinect DK hardware specifications, depth camera supported '
              'operating modes')
-ORBBEC = 'Orbbec, Femto Bolt hardware specifications, depth camera supported operating modes'
+ORBBEC = ('Orbbec, Femto Bolt hardware specifications, depth camera supported operating modes, '
+          'https://www.orbbec.com/documentation/femto-bolt-hardware-specifications/. Random '
+          'error: that of the same chip in the Azure Kinect')
 REALSENSE = 'Intel, RealSense product family D400 series datasheet 337029 and product page'
 
 
@@ -41,11 +43,14 @@ class Sensor:
     :ivar title: maker, product and mode.
     :ivar model: the camera model.
     :ivar source: the source of the numbers.
+    :ivar unverified: the numbers that no public page was found to confirm, in words; users have to
+        compare them with the data sheet.
     """
 
     title: str
     model: CameraModel
     source: str
+    unverified: str = ''
 
 
 class Price(NamedTuple):
@@ -63,11 +68,12 @@ class Price(NamedTuple):
 
 
 def _sensor(title: str, ranges: tuple[float, float], degrees: tuple[float, float],
-            resolution: tuple[int, int], noise: DepthNoise, source: str) -> Sensor:
+            resolution: tuple[int, int], noise: DepthNoise, source: str, unverified: str = ''
+            ) -> Sensor:
     """Return a sensor, given the least and the largest range, metres, and both fields of view."""
     horizontal, vertical = np.deg2rad(degrees)
     return Sensor(title, CameraModel(*ranges, float(horizontal), float(vertical), resolution,
-                                     noise), source)
+                                     noise), source, unverified)
 
 
 def _stereo(baseline_m: float, degrees: float, pixels: int, disparity: float = 0.08) -> DepthNoise:
@@ -122,12 +128,14 @@ SENSORS = {
         'Orbbec Gemini 335', (0.25, 6.0), (90.0, 65.0), (1280, 800), DepthNoise(quadratic=0.0075),
         'Orbbec, Gemini 335 product page: ideal range 0.25 to 6 m, depth 90 x 65 degrees, up to '
         '1280 x 800 at 30 Hz; spatial precision 1.5 % at 2 m, here with the square of the '
-        'distance, as that of stereo'),
+        'distance, as that of stereo', 'range, field of view, resolution, frame rate and noise'),
     'oak_d_pro': _sensor(
         'Luxonis OAK-D Pro', (0.8, 12.0), (80.0, 55.0), (1280, 800), DepthNoise(quadratic=0.005),
-        'Luxonis, OAK-D Pro documentation: OV9282 pair, 80 x 55 degrees, 1280 x 800, baseline '
-        '75 mm, ideal range about 0.8 to 12 m; error below 2 % up to 4 m, 4 % up to 7 m and 6 % '
-        'up to 10 m, which this parabola reaches at 4 m'),
+        'Luxonis, https://docs.luxonis.com/hardware/products/OAK-D%20Pro: OV9282 pair, 80 x 55 '
+        'degrees, 1280 x 800, dot projector, ideal range of this pair about 0.8 to 12 m. '
+        'https://docs.luxonis.com/hardware/platform/depth/depth-accuracy: baseline 75 mm, error '
+        'below 2 % up to 4 m, 4 % up to 7 m and 6 % up to 10.5 m, which this parabola reaches at '
+        '4 m'),
     'zed_2i_wide': _sensor(
         'Stereolabs ZED 2i, 2.1 mm lens, HD720', (0.3, 12.0), (93.0, 61.0), (1280, 720),
         DepthNoise(quadratic=0.01 / 3.0),
@@ -143,17 +151,23 @@ SENSORS = {
     'helios2': _sensor(
         'LUCID Helios2', (0.3, 8.3), (69.0, 51.0), (640, 480), DepthNoise(linear=0.001),
         'LUCID, Helios2 product page: Sony IMX556, 0.3 to 8.3 m, 69 x 51 degrees, 640 x 480 at '
-        '30 Hz; precision below 1 mm at 1 m, here with the distance'),
+        '30 Hz; precision below 1 mm at 1 m, here with the distance. The technical reference of '
+        'the Helios2 Wide, of the same chip, has operating modes up to 8.3 m at 30 Hz: https://'
+        '1stvision.com/cameras/Lucid-Vision-Labs/Helios2-Wide-Technical-Reference/html/'
+        'camera_features_helios2.html', 'least range, field of view and noise'),
     'zivid_2_m70': _sensor(
         'Zivid 2 M70', (0.5, 1.1), (56.6, 35.6), (1944, 1200), DepthNoise(quadratic=0.000112),
         'Zivid, Zivid 2 M70 data sheet: optimal distance 0.5 to 1.1 m, 754 x 449 mm at 0.7 m, '
         'point precision 55 um there, here with the square of the distance. Zivid support: '
-        '1944 x 1200'),
+        '1944 x 1200, https://support.zivid.com/en/latest/camera/reference-articles/'
+        'specs_terminology.html', 'range, field of view, frame rate and noise'),
     'phoxi_m': _sensor(
         'Photoneo PhoXi 3D Scanner M', (0.458, 1.118), (47.5, 36.0), (2064, 1544),
         DepthNoise(constant=0.0001),
         'Photoneo, PhoXi 3D Scanner M product page: 458 to 1118 mm, 2064 x 1544, temporal noise '
-        '0.1 mm. Photoneo wiki, PhoXi 3D scanners family: projection angles 47.5 x 36 degrees'),
+        '0.1 mm. Photoneo wiki: projection angles 47.5 x 36 degrees, '
+        'https://wiki.photoneo.com/index.php?title=PhoXi_3D_scanners_family',
+        'range, resolution, frame rate and noise'),
     'velodyne_vlp16': _sensor(
         'Velodyne VLP-16 spinning lidar, 10 Hz', (1.0, 100.0), (360.0, 30.0), (1800, 16),
         DepthNoise(constant=0.03),
@@ -162,14 +176,12 @@ SENSORS = {
 }
 CURRENCY = 'USD'
 _AZURE = Price(399.0, 'Microsoft Store, sold until 2023', '2019-07')
-_FEMTO = Price(418.0, 'Orbbec store', '2024')
 #: By the name of a sensor; sensors without a public list price have none.
 PRICES = {
     'realsense_d435': Price(314.0, 'RealSense store', '2024'),
     'realsense_d455': Price(419.0, 'RealSense store', '2024'),
     'realsense_l515': Price(349.0, 'Intel, at its launch; sold until 2022', '2019-12'),
     'azure_kinect_nfov': _AZURE, 'azure_kinect_wfov': _AZURE,
-    'femto_bolt_nfov': _FEMTO, 'femto_bolt_wfov': _FEMTO,
     'zed_2i_wide': Price(499.0, 'Stereolabs store', '2023'),
     'kinect_v2': Price(199.0, 'Microsoft Store, sold until 2015', '2014-07'),
     'velodyne_vlp16': Price(3999.0, 'Velodyne, press release', '2018-01'),

@@ -67,11 +67,17 @@ def test_prices_are_those_of_the_catalogue_unless_the_file_has_others():
     d455 = PRICES['realsense_d455']
     assert bill['items'][0] == {
         'item': SENSORS['realsense_d455'].title, 'count': 2, 'price': d455.amount,
-        'sum': 2 * d455.amount, 'source': d455.source, 'date': d455.date}
+        'sum': 2 * d455.amount, 'source': d455.source, 'date': d455.date,
+        'unverified': ''}
     assert bill['total'] == 2 * d455.amount and bill['lack'] == 0
     assert bill_rows(bill)[-1][3] == f'{2 * d455.amount:,.2f}'
     own = bill_in_box([[3.0, 0.1, 2.0]], 'walls', cameras=[{
         'sensor': 'realsense_d455', 'price': 100}])
     assert own['total'] == 100.0 and own['items'][0]['source'] == 'rig file'
     unknown = bill_in_box([[3.0, 0.1, 2.0]], 'walls', cameras=[{'sensor': 'gemini_2'}])
+    assert 'data sheet' not in bill_rows(unknown)[0][4]
+    # Figures that no public page confirmed are named where the sensor is bought.
+    doubted = bill_rows(bill_in_box([[3.0, 0.1, 2.0]], 'walls', cameras=[
+        {'sensor': 'gemini_335'}]))
+    assert doubted[0][4] == 'compare with the data sheet: ' + SENSORS['gemini_335'].unverified
     assert unknown['lack'] == 1 and '1 without a price' in bill_rows(unknown)[-1][4]
