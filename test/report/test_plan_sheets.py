@@ -31,7 +31,8 @@ def assessed():
     """Return three cameras in a room of 6 x 4 m: on wall D, on wall A and on a stand."""
     poses = np.array([[0.1, 1.5, 2.2, 0.2, 0.4, 0.0], [4.0, 3.9, 2.4, -1.5, 0.5, 0.0],
                       [3.0, 2.0, 1.5, 0.0, 0.2, 0.0]])
-    rig = rig_of(3, 'd455', mount={'on': 'free', 'height': [1, 2.5]})
+    rig = rig_of(3, 'd455', mount={'on': 'free', 'height': [1, 2.5]}, require={
+        'pixel_density': 'overview', 'share': 0.9})
     engine = EngineConfig(preset='fast', error_rows=32)
     return assess(box_room(), placement_of(rig, poses, engine=engine), {'sha256': ''}, 'ocp score')
 
@@ -62,7 +63,9 @@ def test_plan_and_elevations_are_to_scale(assessed, paper, scale):
     # the left end.
     assert {'2.40 m', '2.20 m', '2.00 m', '1.50 m'} <= set(texts_of(walls))
     assert sum(bool(axes.images) for axes in views.axes) == 3
-    assert 'Intel RealSense D455' in texts_of(materials)
+    found = texts_of(materials)
+    assert {'Intel RealSense D455', 'the whole room', '90.0 %', 'no'} <= set(found)
+    assert any('density' in text or 'px/m' in text for text in found)
 
 
 def test_the_pages_of_the_file_have_the_size_of_the_paper(assessed, tmp_path):

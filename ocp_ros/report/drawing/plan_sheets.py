@@ -36,7 +36,13 @@ from ocp_ros.report.drawing.depth_image import depth_colours, depth_image
 from ocp_ros.report.drawing.plan_drawing import darkened, reach
 from ocp_ros.report.drawing.room_drawing import INK, PALE_INK
 from ocp_ros.report.drawing.saved_pictures import draw_table, fonts_for_all_letters, write
-from ocp_ros.report.facts import page_facts_of, PageFacts, percent
+from ocp_ros.report.facts import (
+    page_facts_of,
+    PageFacts,
+    percent,
+    REGION_COLUMNS,
+    REQUIREMENT_COLUMNS,
+)
 from ocp_ros.report.wall_lines import wall_lines
 from ocp_ros.report.wall_references import InnerWall, ReferenceWall
 from ocp_ros.rig.structure import MAX_MOUNT_GAP_M
@@ -294,17 +300,23 @@ def _view_sheet(assessed: Assessment, facts: PageFacts, size: tuple[float, float
 
 def _material_sheet(assessed: Assessment, facts: PageFacts, size: tuple[float, float],
                     numbers: Sequence[int]) -> Figure:
-    """Return the sheet with the bill of materials, and the instructions for some cameras."""
-    figure, box = _empty_sheet(facts, size, 'Bill of materials')
-    rows = [BILL_COLUMNS, *bill_rows(assessed.found['bill'])]
-    row_height, top = min(0.22, box.height / (len(numbers) + len(rows) + 4.0)), (
-        box.bottom + box.height)
-    height = row_height * len(rows)
-    draw_table(figure, (box.left, top - height, box.width, height), rows, 8.0,
-               [INK] * (len(rows) - 1))
-    table = [['', 'camera', 'sensor', 'place', 'height', 'pan', 'tilt', 'x, y, z'],
-             *(assessed.rows[number] for number in numbers)]
-    below = row_height * len(table)
-    draw_table(figure, (box.left, top - height - 0.4 - below, box.width, below), table, 7.5,
-               [darkened(camera_colour(number)) for number in numbers])
+    """Return the sheet with the bill, what is required, and instructions for some cameras."""
+    required = [([columns, *rows], [INK if row[-1] == 'yes' else 'tab:red' for row in rows])
+                for columns, rows in ((REQUIREMENT_COLUMNS, facts.requirements),
+                                      (REGION_COLUMNS, facts.regions)) if rows]
+    figure, box = _empty_sheet(facts, size, 'Bill of materials' + (
+        ' and requirements' if required else ''))
+    bill = [BILL_COLUMNS, *bill_rows(assessed.found['bill'])]
+    instructions = [['', 'camera', 'sensor', 'place', 'height', 'pan', 'tilt', 'x, y, z'],
+                    *(assessed.rows[number] for number in numbers)]
+    tables = [(bill, [INK] * (len(bill) - 1)), *required,
+              (instructions, [darkened(camera_colour(number)) for number in numbers])]
+    gap, top = 0.4, box.bottom + box.height
+    space = box.height - gap * len(tables)
+    row_height = min(0.22, space / sum(len(rows) for rows, _ in tables))
+    for rows, colours in tables:
+        height = row_height * len(rows)
+        draw_table(figure, (box.left, top - height, box.width, height), rows,
+                   7.5 if rows is instructions else 8.0, colours)
+        top -= height + gap
     return figure
