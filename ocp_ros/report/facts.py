@@ -223,7 +223,8 @@ def score_figures(scores: Mapping[str, Any], expected: Mapping[str, float]) -> l
         Figure('depth error', metres(scores['depth_error']),
                f'{metres(scores["depth_error_of_nothing"])} without cameras'),
         Figure('expected (9 of 10 rooms)', metres(expected['depth_error']),
-               f'{metres(expected["low"])} to {metres(expected["high"])}'),
+               f'{metres(expected["low"])} to {metres(expected["high"])}'
+               + ('; scan more densely to narrow this' if 'sparse' in expected else '')),
         Figure('seen', percent(scores['seen']), f'of the points, by {viewers}'),
         Figure('seen twice', percent(seen_twice / scores['points']), 'by two cameras or more'),
         Figure('space coverage', f'{scores["space_coverage"]:.1f} m³',

@@ -370,13 +370,14 @@ def expected(error: float, worst: float, missing: Sequence[str] = ()) -> dict[st
     :param worst: depth error without any visible point, metres.
     :param missing: what the scan lacks, from :func:`gaps_of`.
     :returns: ``depth_error``, ``low`` and ``high``, metres; in nine of ten rooms the error was
-        between ``low`` and ``high``.
+        between ``low`` and ``high``. ``sparse`` is true if the scan is, which makes them wide.
     """
     # The ratios are those of both errors plus an offset, since ratios of small errors say little.
     offset = _ratio_table()['offset'] * worst
     low, median, high = (float(np.clip(ratio * (error + offset) - offset, 0.0, worst))
                          for ratio in ratios_for(error, worst, missing))
-    return {'depth_error': median, 'low': low, 'high': high}
+    return {'depth_error': median, 'low': low, 'high': high,
+            **({'sparse': True} if 'sparse' in missing else {})}
 
 
 def missing_surface_notes(missing: Sequence[str]) -> list[str]:

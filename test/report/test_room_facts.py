@@ -21,6 +21,7 @@ import warnings
 from conftest import box_sides, made_room, printed, ROOT
 import numpy as np
 from ocp_ros.cli.main import main
+from ocp_ros.report.facts import score_figures
 from ocp_ros.report.findings import expected, gaps_of
 from ocp_ros.report.room_facts import facts_of, SIDES
 from ocp_ros.rig.rig_file import rig_of
@@ -147,6 +148,11 @@ def test_an_extended_header_of_pcd_is_named():
         read('ext3.pcd')
 
 
+#: Of a placement in any room.
+SCORES = {'depth_error': 1.0, 'depth_error_of_nothing': 40.0, 'seen_by': 1, 'seen': 0.5,
+          'overlap': {'0': 1, '1': 1}, 'points': 2, 'space_coverage': 1.0, 'volume': 2.0}
+
+
 def test_a_sparse_scan_widens_what_is_expected():
     sparse, dense = made_room(8, 2000), made_room(8, 15_000)
     assert gaps_of(sparse) == ('sparse',) and gaps_of(dense) == ()
@@ -154,4 +160,6 @@ def test_a_sparse_scan_widens_what_is_expected():
         narrow, wide = (expected(error, 40.0, gaps_of(scene)) for scene in (dense, sparse))
         assert wide['low'] <= narrow['low'] and wide['high'] >= narrow['high']
         assert wide['depth_error'] > narrow['depth_error']
+        remarks = [score_figures(SCORES, one)[1].remark for one in (narrow, wide)]
+        assert ['scan more densely' in remark for remark in remarks] == [False, True]
     assert wide['high'] > 1.4 * narrow['high']
