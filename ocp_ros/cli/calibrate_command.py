@@ -180,6 +180,12 @@ def _check_mode(arguments: argparse.Namespace) -> None:
             f'ocp calibrate: found {" and ".join(given)}; expected ROOM and PLACEMENT to register '
             'cameras to a scan, --against to find out which have moved, or none of these to '
             'register cameras to each other; name what you have')
+    for option, value, fits, others in (
+            ('--near', arguments.near, arguments.room, 'ROOM and PLACEMENT'),
+            ('--distance', arguments.distance, not arguments.against, 'cameras to be registered')):
+        if value and not fits:
+            raise ConfigurationError(f'{option}: found it without {others}; expected both; leave '
+                                     'it out')
 
 
 def show(result: Found) -> None:

@@ -212,9 +212,10 @@ def by_scan(scene: Scene, placement: Placement, clouds: Mapping[str, np.ndarray]
     rows = [answer_of(placed, found[name]) if (name := placed.camera.name) in found else
             {'camera': name, 'refused': failures.get(name, 'it has no cloud')}
             for placed in placement.cameras]
-    refused = {row['camera'] for row in rows if row['refused']}
+    # A cloud that is not the camera's own, or has other axes, is no reference for it.
+    certain = {row['camera'] for row in rows if not (row['refused'] or row['otherwise'])}
     return Calibrated(as_built(placement, found, command), rows, {
-        name: cloud for name, cloud in clouds.items() if name not in refused})
+        name: cloud for name, cloud in clouds.items() if name in certain})
 
 
 def without_scan(clouds: Mapping[str, np.ndarray], sensor: str, command: str,
@@ -261,6 +262,8 @@ def calibrate_mutually(placement: Placement, clouds: Mapping[str, np.ndarray]
     """
     Register cameras to each other; the most certain one stays where the placement has it.
 
+    It keeps its position and heading there; the floor says how it is tilted.
+
     :returns: as :func:`calibrate`.
     """
     placed = {one.camera.name: one for one in placement.cameras}
@@ -271,7 +274,8 @@ def calibrate_mutually(placement: Placement, clouds: Mapping[str, np.ndarray]
         base = min(found, key=lambda name: found[name].certainty.metres[0])
         place = Pose.of(placed[base].pose)
         # The level frame of the rig in that of the placement.
-        turn = place.rotation @ found[base].pose.rotation.T
+        turn = rotation_matrix(heading_of(place.rotation)[0]
+                               - heading_of(found[base].pose.rotation)[0])
         for name, one in found.items():
             pose = Pose(place.position + turn @ (one.pose.position - found[base].pose.position),
                         turn @ one.pose.rotation)

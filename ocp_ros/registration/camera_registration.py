@@ -71,7 +71,7 @@ DISTINCT_POSE_LIMITS = (0.10, np.deg2rad(4.0))
 MAX_MATCH_DISTANCE_M = 0.15
 #: Metres: the largest distance of a pose from its start.
 FARTHEST_M = 1.6
-#: How many agreements a contradiction outweighs, see :func:`agreement`.
+#: How many agreements a contradiction outweighs, see :class:`Comparison`.
 CONTRADICTION_WEIGHT = 3.0
 ALL = slice(None)
 #: The weight in the score of the share of points closely behind a surface.
@@ -290,25 +290,45 @@ def _agreeing_poses(views: Sequence[LiveView], found: Sequence[Registration]) ->
     certain = [k for k, one in enumerate(found) if not one.others]
     for k in [k for k, one in enumerate(found) if one.others]:
         likely = [found[k].pose, *found[k].others]
-        scores = [sum(agreement(views[k], pose, views[other], poses[other]) for other in certain)
+        scores = [sum(comparison(views[k], pose, views[other], poses[other]).agreement
+                      for other in certain)
                   for pose in likely]
         poses[k] = likely[int(np.argmax(scores))]
     return poses
 
 
-def agreement(view: LiveView, pose: Pose, other: LiveView, other_pose: Pose,
-              used: np.ndarray | slice = ALL, other_used: np.ndarray | slice = ALL) -> float:
+class Comparison(NamedTuple):
     """
-    Return how well what two cameras see agrees: a likelihood ratio of these poses and chance.
+    What two cameras, or one and several others, see at their poses.
 
-    A point of one camera that lies where the other has measured a surface speaks for the poses,
-    and a point in space that the other has measured as free speaks against them. Of the points
-    that can be compared, about 92 % agree at true poses and about 50 % at wrong ones, so that one
-    contradiction outweighs three agreements: ln(0.5 / 0.08) = 3 ln(0.92 / 0.5).
+    :ivar seen: the number of points that lie where the other camera has measured a surface.
+    :ivar free: the number of points in space that the other camera has measured as free.
+    :ivar count: the number of all points.
+    """
+
+    seen: int
+    free: int
+    count: int
+
+    @property
+    def agreement(self) -> float:
+        """
+        Return how well both agree: a likelihood ratio of these poses and chance, at most 1.
+
+        Of the points that can be compared, about 92 % agree at nearly true poses and about 50 % at
+        wrong ones, so that one contradiction outweighs three agreements: ln(0.5 / 0.08) =
+        3 ln(0.92 / 0.5). The result is a share of all points.
+        """
+        return (self.seen - CONTRADICTION_WEIGHT * self.free) / max(self.count, 1)
+
+
+def comparison(view: LiveView, pose: Pose, other: LiveView, other_pose: Pose,
+               used: np.ndarray | slice = ALL, other_used: np.ndarray | slice = ALL) -> Comparison:
+    """
+    Compare what two cameras see.
 
     :param used: which patches of ``view`` count, (M,) bool; all unless given.
     :param other_used: the same of ``other``.
-    :returns: agreements minus three times the contradictions, as a share of all points; at most 1.
     """
     seen = free = count = 0
     for one, one_pose, one_used, two, two_pose in (
@@ -318,7 +338,7 @@ def agreement(view: LiveView, pose: Pose, other: LiveView, other_pose: Pose,
         numbers = two.compared(points @ relative.rotation.T + relative.position,
                                normals @ relative.rotation.T)
         seen, free, count = seen + numbers[0], free + numbers[1], count + len(points)
-    return (seen - CONTRADICTION_WEIGHT * free) / max(count, 1)
+    return Comparison(seen, free, count)
 
 
 def _coarse_poses(scan: ScanSurfaces, view: LiveView, start: Pose) -> Poses:

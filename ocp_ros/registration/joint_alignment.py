@@ -54,6 +54,12 @@ MIN_MUTUAL_SHARE = 0.04
 WHOLE_BLOCK_POINTS = 8
 #: The standard deviation of a distance that a person has measured, metres.
 DISTANCE_DEVIATION_M = 0.005
+#: Standard deviations of errors that are the same in all frames of a camera: in metres; and as a
+#: share of the distance: everywhere, and per metre along the axes of the body, which is a bend.
+DEPTH_ERRORS = np.array([2e-3, 1e-3, 2e-4, 2e-4, 2e-4])
+#: The least standard deviation of what the points of a block have in common, metres: by errors of
+#: a scan, and where ``DEPTH_ERRORS`` stand for errors.
+BLOCK_DEVIATIONS = 0.003, 0.001
 #: The pose of a camera in its own body frame.
 HERE = Pose(np.zeros(3), np.eye(3))
 #: The name of the scan among what holds a camera.
@@ -73,6 +79,7 @@ class Constraints(NamedTuple):
     :ivar weights: (M,) 1/m², 0 without a match.
     :ivar points: (M, 3) the measured points, metres, map frame.
     :ivar normals: (M, 3) the normals of the matched surfaces.
+    :ivar by_hand: whether a person has measured it, so that no depths are in it.
     """
 
     camera: int
@@ -82,12 +89,25 @@ class Constraints(NamedTuple):
     weights: np.ndarray
     points: np.ndarray
     normals: np.ndarray
+    by_hand: bool = False
 
     @property
     def columns(self) -> np.ndarray:
         """Return the numbers of the unknowns that the columns of the jacobians stand for."""
         cameras = [self.camera] if self.other < 0 else [self.camera, self.other]
         return np.concatenate([np.arange(6 * k, 6 * k + 6) for k in cameras])
+
+    def by_depths(self, poses: Sequence[Pose]) -> np.ndarray:
+        """Return the derivatives (M, 5K) of the residuals by ``DEPTH_ERRORS`` of K cameras."""
+        found = np.zeros((len(self.points), len(poses), 5))
+        for camera, sign in () if self.by_hand else ((self.camera, 1.0), (self.other, -1.0)):
+            if camera >= 0:
+                offsets = self.points - poses[camera].position
+                along = sign * np.einsum('ij,ij->i', offsets, self.normals)
+                found[:, camera] = along[:, None] * np.column_stack([
+                    1.0 / np.linalg.norm(offsets, axis=1), np.ones(len(offsets)),
+                    offsets @ poses[camera].rotation])
+        return found.reshape(len(self.points), -1)
 
 
 class RigCamera(NamedTuple):
@@ -177,7 +197,7 @@ class Distance(NamedTuple):
             np.outer(rows, np.concatenate([still, direction, still, -direction])),
             rows * (length - self.metres), rows * 10.0 / DISTANCE_DEVIATION_M ** 2,
             np.full((WHOLE_BLOCK_POINTS, 3), 1e4 + 100.0 * self.camera + self.other),
-            np.outer(rows, direction))
+            np.outer(rows, direction), by_hand=True)
 
 
 def distances_between(names: Sequence[str], measured: Mapping[tuple[str, str], float]
@@ -272,31 +292,22 @@ def _normal_equations(constraints: Sequence[Constraints], cameras: int
 
 
 def pose_covariance(constraints: Sequence[Constraints], cameras: int,
-                    anchors: Collection[int] = ()) -> tuple[np.ndarray, np.ndarray]:
+                    anchors: Collection[int] = (), poses: Sequence[Pose] = ()) -> np.ndarray:
     """
     Return the expected covariance of the poses of K registered cameras.
 
     :param constraints: those of the registered poses.
     :param cameras: K.
     :param anchors: cameras whose poses are exact by definition.
+    :param poses: the registered poses, if no camera has a scan: what ``DEPTH_ERRORS`` do to them
+        is added, in place of errors of the scan.
     :returns: (6K, 6K), radians and metres, map axes, each camera's rotation about its own
-        position; and the information matrix (6K, 6K) of independent blocks.
+        position.
     """
     size = 6 * cameras
     jacobians, residuals, weights, blocks = _in_blocks(constraints, size)
-    count = int(blocks.max(initial=-1)) + 1
-    # Points of a block are consecutive.
-    ends = np.cumsum(np.bincount(blocks, minlength=count))
-    parts = [slice(end - length, end) for end, length in
-             zip(ends, np.bincount(blocks, minlength=count))]
-    total_weight = np.bincount(blocks, weights, count)
-    # The mean of the squared residuals of each block.
-    mean_square = np.bincount(blocks, weights * residuals ** 2, count) / total_weight
-    # A fifth of the variance within a block is common to its points.
-    variance = _block_deviation(residuals, parts) ** 2 + 0.2 * mean_square
-    # A whole block counts as one measurement with this variance, a block of few points as less.
-    fill_share = np.minimum(np.bincount(blocks, minlength=count) / WHOLE_BLOCK_POINTS, 1.0)
-    scale = fill_share / total_weight / variance
+    scale, parts = _block_scales(residuals, weights, blocks, BLOCK_DEVIATIONS[bool(poses)])
+    count = len(parts)
     weighted = jacobians * weights[:, None]
     information = weighted.T @ jacobians
     independent = (weighted * scale[blocks, None]).T @ jacobians
@@ -315,7 +326,37 @@ def pose_covariance(constraints: Sequence[Constraints], cameras: int,
         left = damped - weighted[part].T @ jacobians[part]
         step = np.linalg.solve(left, weighted[part].T @ residuals[part])
         spread += np.outer(step, step)
-    return covariance + (count - 1) / max(count, 1) * spread, independent
+    covariance += (count - 1) / max(count, 1) * spread
+    if poses:
+        moved = np.zeros((size, 5 * cameras))
+        for one in constraints:
+            moved[one.columns] += (one.jacobians * one.weights[:, None]).T @ one.by_depths(poses)
+        moved = np.linalg.solve(damped, moved) * np.tile(DEPTH_ERRORS, cameras)
+        covariance += moved @ moved.T
+    return covariance
+
+
+def _block_scales(residuals: np.ndarray, weights: np.ndarray, blocks: np.ndarray,
+                  least: float = BLOCK_DEVIATIONS[0]) -> tuple[np.ndarray, list[slice]]:
+    """
+    Return by what the weights of points are multiplied so that a block is one measurement.
+
+    :param residuals: (M,) metres, of M points; their weights (M,) and their B blocks (M,).
+    :param least: the least standard deviation that the points of a block have in common, metres.
+    :returns: (B,) factors, and the points of each block.
+    """
+    # Points of a block are consecutive.
+    lengths = np.bincount(blocks)
+    ends = np.cumsum(lengths)
+    parts = [slice(end - length, end) for end, length in zip(ends, lengths)]
+    total_weight = np.bincount(blocks, weights)
+    # The mean of the squared residuals of each block.
+    mean_square = np.bincount(blocks, weights * residuals ** 2) / total_weight
+    # A fifth of the variance within a block is common to its points.
+    variance = max(_block_deviation(residuals, parts), least) ** 2 + 0.2 * mean_square
+    # A whole block counts as one measurement with this variance, a block of few points as less.
+    fill_share = np.minimum(lengths / WHOLE_BLOCK_POINTS, 1.0)
+    return fill_share / total_weight / variance, parts
 
 
 def _in_blocks(constraints: Sequence[Constraints], size: int
@@ -353,7 +394,7 @@ def _block_deviation(residuals: np.ndarray, parts: Sequence[slice]) -> float:
 
     :param residuals: (M,) metres, of M points.
     :param parts: the points of each block.
-    :returns: at least 3 mm; 2 cm if fewer than four blocks are whole.
+    :returns: 2 cm if fewer than four blocks are whole.
     """
     medians = [np.median(residuals[part]) for part in parts
                if part.stop - part.start >= WHOLE_BLOCK_POINTS]
@@ -362,19 +403,19 @@ def _block_deviation(residuals: np.ndarray, parts: Sequence[slice]) -> float:
         return 0.02
     # Few panels were scanned from the other side, so the median ignores their errors.
     # 1.4826 is the standard deviation of a normal distribution over its median absolute deviation.
-    return max(1.4826 * float(np.median(np.abs(medians))), 0.003)
+    return 1.4826 * float(np.median(np.abs(medians)))
 
 
 def certainties(constraints: Sequence[Constraints], names: Sequence[str],
-                anchors: Collection[int] = ()) -> list[Certainty]:
+                anchors: Collection[int] = (), poses: Sequence[Pose] = ()) -> list[Certainty]:
     """
     Return the expected deviations of each of K registered poses, and what holds them.
 
     :param constraints: those of the registered poses.
     :param names: of the K cameras.
-    :param anchors: see :func:`pose_covariance`.
+    :param anchors: see :func:`pose_covariance`; ``poses`` as well.
     """
-    covariance, _ = pose_covariance(constraints, len(names), anchors)
+    covariance = pose_covariance(constraints, len(names), anchors, poses)
     found = []
     for k in range(len(names)):
         own = slice(6 * k, 6 * k + 6)

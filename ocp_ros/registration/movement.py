@@ -36,7 +36,7 @@ from ocp_ros.registration.alignment import (
     moved_poses,
     Poses,
 )
-from ocp_ros.registration.camera_registration import agreement, FINEST_STAGE, sampled
+from ocp_ros.registration.camera_registration import comparison, FINEST_STAGE, sampled
 from ocp_ros.registration.joint_alignment import (
     all_constraints,
     certainties,
@@ -110,7 +110,7 @@ def movement_since(reference: LiveView, view: LiveView) -> Movement:
                          np.vstack([np.zeros((1, 6)), steps]))
     ends = aligned_poses(surfaces, sampled(view.patches, 300), starts,
                          AlignmentStage((0.4, 0.15), (16.0, 4.0), 12))
-    scores = [agreement(view, Pose(position, rotation), reference, HERE)
+    scores = [comparison(view, Pose(position, rotation), reference, HERE).agreement
               for rotation, position in zip(*ends)]
     # A distant pose has to be better than that from the place of the reference.
     scores[0] += 0.02
@@ -123,7 +123,8 @@ def movement_since(reference: LiveView, view: LiveView) -> Movement:
                                   FINEST_STAGE.kernel_widths[1])
     certainty = certainties(constraints, ['reference', 'now'], anchors=[0])[1]
     metres, degrees = _held_movement(poses[1], certainty)
-    return Movement(poses[1], metres, degrees, agreement(view, poses[1], reference, HERE))
+    return Movement(poses[1], metres, degrees,
+                    comparison(view, poses[1], reference, HERE).agreement)
 
 
 def movements_since(references: Mapping[str, LiveView], views: Mapping[str, LiveView],

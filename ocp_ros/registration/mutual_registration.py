@@ -30,7 +30,7 @@ from typing import NamedTuple
 import numpy as np
 from ocp_ros.geometry.cameras import Pose, rotation_matrix
 from ocp_ros.registration.alignment import aligned_poses, AlignmentStage, Certainty, Poses
-from ocp_ros.registration.camera_registration import agreement, differ, sampled
+from ocp_ros.registration.camera_registration import Comparison, comparison, differ, sampled
 from ocp_ros.registration.joint_alignment import (
     advice,
     all_constraints,
@@ -69,6 +69,8 @@ class MutualLimits(NamedTuple):
 
     :ivar min_agreement: the least agreement with all others together, for a place in the rig.
     :ivar min_total: the least agreement of an accepted pose.
+    :ivar max_contradicted: the largest share of compared points in space that another camera has
+        measured as free: 0.3 to 3 % at true poses, 14 % and more at wrong ones.
     :ivar min_lead: the least lead in agreement over the next distinct pose.
     :ivar max_metres: the largest expected deviation, metres.
     :ivar max_degrees: the largest expected deviation, degrees.
@@ -76,8 +78,9 @@ class MutualLimits(NamedTuple):
 
     min_agreement: float = 0.05
     min_total: float = 0.2
+    max_contradicted: float = 0.05
     min_lead: float = 0.25
-    max_metres: float = 0.014
+    max_metres: float = 0.012
     max_degrees: float = 0.5
 
 
@@ -99,9 +102,9 @@ class LevelView(NamedTuple):
     pose: Pose
     telling: np.ndarray
 
-    def agrees(self, pose: Pose, other: 'LevelView', other_pose: Pose) -> float:
-        """Return how well two cameras agree without floor and ceiling; see ``agreement``."""
-        return agreement(self.view, pose, other.view, other_pose, self.telling, other.telling)
+    def compared(self, pose: Pose, other: 'LevelView', other_pose: Pose) -> Comparison:
+        """Compare what two cameras see, without floor and ceiling."""
+        return comparison(self.view, pose, other.view, other_pose, self.telling, other.telling)
 
     @classmethod
     def of(cls, view: LiveView) -> 'LevelView | None':
@@ -125,7 +128,7 @@ class MutualRegistration(NamedTuple):
 
     :ivar pose: the pose; z is up and 0 on the floor.
     :ivar overlap: how well the camera agrees with all others, see
-        :func:`~ocp_ros.registration.camera_registration.agreement`.
+        :func:`~ocp_ros.registration.camera_registration.Comparison`.
     :ivar lead: the lead in agreement over the next distinct pose.
     :ivar certainty: the expected deviations against the first camera.
     :ivar refused: the reason why the pose must not be used; empty if it can be used.
@@ -286,7 +289,7 @@ def _best_distinct(one: LevelView, other: LevelView, starts: Sequence[Pose]
                               Poses(np.stack([pose.rotation for pose in starts]),
                                     np.stack([pose.position for pose in starts])),
                               AlignmentStage(*limits, steps))
-        scored = sorted(((other.agrees(pose, one, HERE), pose)
+        scored = sorted(((other.compared(pose, one, HERE).agreement, pose)
                          for pose in map(Pose, poses.positions, poses.rotations)),
                         key=lambda pair: -pair[0])
         distinct = []
@@ -324,22 +327,38 @@ def register_mutually(views: Mapping[str, LiveView],
                 'others; turn it to what another one sees' for name in names if name not in poses}
     if poses.keys() <= known.keys():
         return {}, reasons
+    while True:
+        placed = list(poses)
+        totals = [_total(level, poses, name, poses[name]) for name in placed]
+        anchors = [k for k, name in enumerate(placed) if name in known] or [
+            int(np.argmax(totals))]
+        rig = [RigCamera.of(views[name].patches) for name in placed]
+        joint = list(poses.values())
+        distances = distances_between(placed, measured or {})
+        for stage in JOINT_STAGES:
+            joint = joint_poses(rig, joint, stage, anchors, distances)
+        # A camera at a wrong pose also moves the others.
+        contradicted = {name: _contradicted(level, dict(zip(placed, joint)), name)
+                        for name in placed if name not in known}
+        worst = max(contradicted, key=contradicted.__getitem__)
+        if contradicted[worst] <= MUTUAL_LIMITS.max_contradicted:
+            break
+        reasons[worst] = (
+            f'{100.0 * contradicted[worst]:.0f} % of what it and others see is in space that is '
+            f'free, at most {100.0 * MUTUAL_LIMITS.max_contradicted:.0f} % may; turn it to '
+            'something that another one sees and that is there only once')
+        del poses[worst]
+        if poses.keys() <= known.keys():
+            return {}, reasons
     leads = {name: _lead(level, links, poses, name) for name in poses if name not in known}
-    placed = list(poses)
-    totals = [_total(level, poses, name, poses[name]) for name in placed]
-    anchors = [k for k, name in enumerate(placed) if name in known] or [int(np.argmax(totals))]
-    rig = [RigCamera.of(views[name].patches) for name in placed]
-    joint = list(poses.values())
-    distances = distances_between(placed, measured or {})
-    for stage in JOINT_STAGES:
-        joint = joint_poses(rig, joint, stage, anchors, distances)
     if not known:
         joint = _levelled([level[name] for name in placed], joint)
     limits = JOINT_STAGES[-1].max_distances[1], JOINT_STAGES[-1].kernel_widths[1]
     constraints = all_constraints(rig, joint, overlapping_pairs(rig, joint, limits[0]), *limits,
                                   distances)
     found = {}
-    for k, (name, certainty) in enumerate(zip(placed, certainties(constraints, placed, anchors))):
+    for k, (name, certainty) in enumerate(zip(
+            placed, certainties(constraints, placed, anchors, joint))):
         if name in known:
             continue
         refused = _refusal(totals[k], leads[name], certainty)
@@ -356,8 +375,16 @@ _Links = Mapping[tuple[str, str], list[tuple[float, Pose]]]
 def _total(level: Mapping[str, LevelView], poses: Mapping[str, Pose], name: str, pose: Pose
            ) -> float:
     """Return how well a camera at a pose agrees with all placed cameras but itself."""
-    return sum(level[name].agrees(pose, level[other], place)
+    return sum(level[name].compared(pose, level[other], place).agreement
                for other, place in poses.items() if other != name)
+
+
+def _contradicted(level: Mapping[str, LevelView], poses: Mapping[str, Pose], name: str) -> float:
+    """Return the share of points of a camera and others that contradict, of those compared."""
+    found = [level[name].compared(poses[name], level[other], pose)
+             for other, pose in poses.items() if other != name]
+    free = sum(one.free for one in found)
+    return free / max(free + sum(one.seen for one in found), 1)
 
 
 def _assembled(level: Mapping[str, LevelView], links: _Links, known: dict[str, Pose]

@@ -20,8 +20,13 @@ from benchmarks.calibration_bench import cast, off
 from conftest import printed, refused, ROOT
 import numpy as np
 from ocp_ros.geometry.cameras import heading_of, OPTICAL_TO_BODY, Pose, TO_BODY
+from ocp_ros.registration import mutual_registration
 from ocp_ros.registration.alignment import AlignmentStage, Patches
-from ocp_ros.registration.calibration import model_of_cloud, since_reference
+from ocp_ros.registration.calibration import (
+    calibrate_mutually,
+    model_of_cloud,
+    since_reference,
+)
 from ocp_ros.registration.joint_alignment import (
     advice,
     all_constraints,
@@ -95,6 +100,45 @@ def test_cameras_find_each_other_and_one_of_another_room_is_refused(clouds):
     assert heights == pytest.approx([2.2] * 3, abs=0.02)
 
 
+def test_a_camera_at_a_wrong_pose_is_named_and_does_not_move_the_others(clouds, monkeypatch):
+    assembled = mutual_registration._assembled
+
+    def turned(*arguments):
+        """Put the last camera where it would be if the room were turned about its middle."""
+        poses = assembled(*arguments)
+        middle, half = 0.5 * SIZE * [1.0, 1.0, 0.0], np.diag([-1.0, -1.0, 1.0])
+        wrong = Pose(middle + half @ (TRUE[2].position - middle), half @ TRUE[2].rotation)
+        return {**poses, 'cam_2': relative_pose(wrong, TRUE[0]).within(poses['cam_0'])}
+
+    monkeypatch.setattr(mutual_registration, '_assembled', turned)
+    found, reasons = register_mutually({name: LiveView(cloud, MODEL)
+                                        for name, cloud in clouds.items()})
+    assert reasons.keys() == {'cam_2'} and 'in space that is free' in reasons['cam_2']
+    assert_near(relative_pose(found['cam_1'].pose, found['cam_0'].pose),
+                relative_pose(TRUE[1], TRUE[0]), 0.02, 0.7)
+
+
+@pytest.mark.parametrize('camera, number', [(0, 0), (1, 0), (1, 1), (0, 2), (1, 3), (0, 4)])
+def test_errors_of_depths_change_residuals_as_derived(camera, number):
+    walls = np.random.default_rng(0).uniform(0.0, 3.0, (3, 1500, 3))
+    walls[range(3), :, range(3)] = 0.0
+    points, normals = walls.reshape(-1, 3), np.repeat(np.eye(3), 1500, axis=0)
+    poses = [Pose.of(np.array([2.5, 2.0 - k, 1.5, 3.0 + 0.5 * k, 0.1, 0.0])) for k in range(2)]
+    size, residuals = 1e-5, []
+    for error in (0.0, size):
+        rig = []
+        for k, pose in enumerate(poses):
+            body = (points - pose.position) @ pose.rotation
+            share = np.column_stack([1.0 / np.linalg.norm(body, axis=1), np.ones(len(body)), body])
+            rig.append(RigCamera.of(Patches(
+                body * (1.0 + (k == camera) * error * share[:, number])[:, None],
+                normals @ pose.rotation, np.full(len(body), 0.006))))
+        found = all_constraints(rig, poses, [(0, 1), (1, 0)], 0.1, 3.0)
+        residuals.append(np.concatenate([one.residuals for one in found]))
+    derived = np.concatenate([one.by_depths(poses) for one in found])[:, 5 * camera + number]
+    np.testing.assert_allclose(residuals[1] - residuals[0], size * derived, atol=1e-3 * size)
+
+
 @pytest.mark.parametrize('metres, degrees', [(0.0, 0.0), (0.02, 0.0), (0.0, 1.0), (0.15, 6.0)])
 def test_a_camera_that_moved_is_named_and_one_that_did_not_is_not(clouds, metres, degrees):
     now = off(TRUE[0], metres, degrees, np.random.default_rng(3))
@@ -162,6 +206,17 @@ def test_a_camera_that_lost_its_reference_is_found_by_the_others(clouds):
     assert 'other cameras do not show' in alone['refused']
 
 
+def test_the_floor_tilts_a_rig_that_is_said_to_be_tilted_otherwise(clouds):
+    # All cameras are said to look down by 3 degrees more than they do.
+    said = np.array([[*pose.position, *heading_of(pose.rotation)] for pose in TRUE])
+    said[:, 4] += np.deg2rad(3.0)
+    placement = placement_of(rig_of(3, SENSOR), said)
+    names = [placed.camera.name for placed in placement.cameras]
+    found, _ = calibrate_mutually(placement, dict(zip(names, clouds.values())))
+    for name, true in zip(names, TRUE):
+        assert_near(found[name].pose, true, 0.03, 0.7)
+
+
 def test_a_measured_distance_holds_a_camera_along_it():
     # Both cameras see one level surface alone.
     floor = np.random.default_rng(0).uniform(-2.0, 2.0, (1500, 3)) * [1.0, 1.0, 0.0]
@@ -190,6 +245,8 @@ def test_a_measured_distance_holds_a_camera_along_it():
     (['room.ply', '--clouds', 'a.npy'], 'ROOM'), (['--clouds', 'empty'], 'no file'),
     (['--against', 'a.yaml', '--sensor', 'd455', '--clouds', 'a.npy'], '--against and --sensor'),
     (['--clouds', 'b.npy', '--distance', 'b:c=1'], 'c'),
+    (['--clouds', 'b.npy', '--near', '1'], '--near'),
+    (['--against', 'a.yaml', '--clouds', 'b.npy', '--distance', 'b:c=1'], '--distance'),
     (['--clouds', 'b.npy', 'c=b.npy', '--distance', 'b:c=0'], 'metres above 0')])
 def test_what_does_not_go_together_is_refused(capsys, tmp_path, monkeypatch, arguments, words):
     monkeypatch.chdir(tmp_path)
