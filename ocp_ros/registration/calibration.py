@@ -34,6 +34,7 @@ from ocp_ros.geometry.cameras import (
 from ocp_ros.geometry.clouds import voxel_downsample
 from ocp_ros.registration.alignment import Certainty
 from ocp_ros.registration.camera_registration import (
+    depth_share,
     FARTHEST_M,
     register,
     register_together,
@@ -67,6 +68,8 @@ OTHER_SETUPS = (
     (OPENGL, 0.0, TO_BODY['opengl']))
 #: The largest number of cameras whose clouds are tried at the poses of each other.
 MAX_EXCHANGED = 8
+#: The least share by which depths are too long to be named, and steps to find it.
+WRONG_DEPTHS, DEPTH_STEPS = 0.01, 4
 #: Metres: the edge of the voxels of what cameras see together.
 FUSED_VOXEL_M = 0.02
 
@@ -92,6 +95,7 @@ def calibrate(scan: ScanSurfaces, placement: Placement, clouds: Mapping[str, np.
     registrations, reasons = _for_each_camera(
         partial(register, near=near), scan, placement, clouds)
     found, used = _with_other_setups(scan, placement, clouds, registrations)
+    _correct_depths(scan, placement, found, used, near)
     if jointly:
         models = {one.camera.name: one.camera.model for one in placement.cameras}
         views = {name: (LiveView(used[name], models[name], name), models[name]) for name in found}
@@ -152,6 +156,35 @@ def _with_other_setups(scan: ScanSurfaces, placement: Placement, clouds: Mapping
                     found[name], used[name] = other._replace(actual_setup=description), points
                     break
     return found, used
+
+
+def _correct_depths(scan: ScanSurfaces, placement: Placement, found: dict[str, Registration],
+                    used: dict[str, np.ndarray], near: float) -> None:
+    """
+    Register cameras whose depths are all too long or too short again, with right ones.
+
+    :param found: the registrations by the camera's name; changed.
+    :param used: their clouds (N, 3), metres, body frame; changed.
+    """
+    for placed in [one for one in placement.cameras if one.camera.name in found]:
+        name, model = placed.camera.name, placed.camera.model
+        one, factor = found[name], 1.0
+        if one.mismatched:
+            continue
+        share, deviation = depth_share(scan, LiveView(used[name], model, name), one.pose, model)
+        # One step finds a part of a large error, since wrong depths also make it uncertain.
+        for _ in range(DEPTH_STEPS if abs(share) > 0.5 * WRONG_DEPTHS else 0):
+            factor /= 1.0 + share
+            view = LiveView(used[name] * factor, model, name)
+            one = registered_nearby(scan, view, one.pose, model)
+            share, deviation = depth_share(scan, view, one.pose, model)
+        if abs(factor - 1.0) > max(WRONG_DEPTHS, 4.0 * deviation):
+            used[name] = used[name] * factor
+            one = register(scan, LiveView(used[name], model, name), one.pose, model, near)
+            found[name] = one._replace(note='; '.join([*filter(None, [one.note]), (
+                f'its depths are {100.0 * abs(1.0 / factor - 1.0):.1f} % too '
+                f'{"long" if factor < 1.0 else "short"}, or the scale of the scan is wrong; its '
+                'pose is by corrected depths; calibrate its depths')]))
 
 
 def drift(scan: ScanSurfaces, placement: Placement, clouds: Mapping[str, np.ndarray]) -> list[str]:

@@ -51,6 +51,7 @@ from ocp_ros.registration.joint_alignment import (
     all_constraints,
     certainties,
     Constraints,
+    depth_shares,
     distances_between,
     joint_poses,
     overlapping_pairs,
@@ -64,6 +65,8 @@ from scipy.stats import qmc
 
 #: The number of patches for the registration of the best starts.
 OUTLINE_PATCHES = 600
+#: Metres, and standard deviations, within which points of wrong depths find their surfaces.
+WIDE_LIMITS = 0.15, 4.0
 FINEST_STAGE = AlignmentStage((0.04, 0.03), (2.0, 0.7), 16)
 #: Metres and radians: poses that differ by more than either are distinct.
 DISTINCT_POSE_LIMITS = (0.10, np.deg2rad(4.0))
@@ -234,6 +237,15 @@ def registered_nearby(scan: ScanSurfaces, view: LiveView, pose: Pose, model: Cam
     :returns: the pose and its quality; the pose may be refused.
     """
     return _evaluated(scan, view, _refined(scan, view, pose, model), model)
+
+
+def depth_share(scan: ScanSurfaces, view: LiveView, pose: Pose, model: CameraModel
+                ) -> tuple[float, float]:
+    """Return by which share depths are longer than in the scan, and its standard deviation."""
+    constraints = scan_constraints(0, scan.in_view(pose, model).every, view.patches, pose,
+                                   *WIDE_LIMITS)
+    shares, deviations = depth_shares([constraints], [pose])
+    return float(shares[0]), float(deviations[0])
 
 
 def register_together(scan: ScanSurfaces, cameras: Mapping[str, tuple[LiveView, CameraModel]],

@@ -60,6 +60,8 @@ DEPTH_ERRORS = np.array([2e-3, 1e-3, 2e-4, 2e-4, 2e-4])
 #: The least standard deviation of what the points of a block have in common, metres: by errors of
 #: a scan, and where ``DEPTH_ERRORS`` stand for errors.
 BLOCK_DEVIATIONS = 0.003, 0.001
+#: By which share depths are too long or too short at most, in general: a standard deviation.
+LARGEST_DEPTH_SHARE = 0.03
 #: The pose of a camera in its own body frame.
 HERE = Pose(np.zeros(3), np.eye(3))
 #: The name of the scan among what holds a camera.
@@ -336,6 +338,29 @@ def pose_covariance(constraints: Sequence[Constraints], cameras: int,
     return covariance
 
 
+def depth_shares(constraints: Sequence[Constraints], poses: Sequence[Pose]
+                 ) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Estimate by which share the depths of K registered cameras are too long.
+
+    Shares and poses are estimated together, by one Gauss-Newton step in which each block of points
+    counts as one measurement.
+
+    :param constraints: those of the registered poses.
+    :param poses: of the K cameras.
+    :returns: (K,) the shares, and (K,) their standard deviations.
+    """
+    size = 6 * len(poses)
+    jacobians, residuals, weights, blocks = _in_blocks(constraints, size, poses)
+    scale, _ = _block_scales(residuals, weights, blocks)
+    weighted = jacobians * (weights * scale[blocks])[:, None]
+    prior = np.repeat([FREE_DEVIATION, LARGEST_DEPTH_SHARE], [size, len(poses)]) ** -2.0
+    covariance = np.linalg.inv(weighted.T @ jacobians + np.diag(prior))
+    # The step would make depths shorter by what they are too long.
+    return ((covariance @ (weighted.T @ residuals))[size:],
+            np.sqrt(covariance.diagonal()[size:]))
+
+
 def _block_scales(residuals: np.ndarray, weights: np.ndarray, blocks: np.ndarray,
                   least: float = BLOCK_DEVIATIONS[0]) -> tuple[np.ndarray, list[slice]]:
     """
@@ -359,7 +384,7 @@ def _block_scales(residuals: np.ndarray, weights: np.ndarray, blocks: np.ndarray
     return fill_share / total_weight / variance, parts
 
 
-def _in_blocks(constraints: Sequence[Constraints], size: int
+def _in_blocks(constraints: Sequence[Constraints], size: int, poses: Sequence[Pose] = ()
                ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """
     Sort the points of constraints by blocks.
@@ -367,6 +392,8 @@ def _in_blocks(constraints: Sequence[Constraints], size: int
     A block has an edge of a metre, one main axis of the normals, and is either of the scan or of
     pairs of cameras.
 
+    :param poses: of the K cameras, to add K columns to the jacobians: the derivatives by the share
+        by which depths are too long; empty: they are left out.
     :returns: of all M points with a weight, in the order of their blocks: jacobians (M, size),
         residuals (M,), weights (M,) and the numbers of their blocks (M,).
     """
@@ -376,6 +403,8 @@ def _in_blocks(constraints: Sequence[Constraints], size: int
         used = one.weights > 1e-9 * max(one.weights.max(initial=0.0), 1e-9)
         full = np.zeros((np.count_nonzero(used), size))
         full[:, one.columns] = one.jacobians[used]
+        if poses:
+            full = np.hstack([full, one.by_depths(poses)[used, 1::5]])
         rows.append(full)
         cells.append(np.column_stack([
             np.floor(one.points[used]), np.abs(one.normals[used]).argmax(axis=1),

@@ -15,6 +15,7 @@
 """ocp calibrate: cameras are found where they hang, or refused with the reason."""
 
 from pathlib import Path
+import re
 
 from benchmarks.calibration_bench import cast, off
 from conftest import blank_report, box_sides, printed, refused
@@ -377,6 +378,19 @@ def test_what_stays_in_most_frames_is_kept_and_its_noise_falls():
     assert np.abs(found[board, 1] / found[board, 0] - 0.3).max() < 0.13
     assert found[~board, 0].std() < 0.005 and found[~board, 0].min() > 2.9
     assert steady_cloud(frames[:1]) is frames[0]
+
+
+@pytest.mark.parametrize('factor', [1.0, 1.02])
+def test_a_camera_with_wrong_depths_is_named_and_placed_by_right_ones(scan, factor):
+    start = off(TRUE, 0.2, 5.0, np.random.default_rng(2))
+    placement = placement_of(rig_of(1, SENSOR), np.array([
+        [*start.position, *heading_of(start.rotation)]]))
+    name = placement.cameras[0].camera.name
+    found = calibrate(scan, placement, {name: factor * seen_by(TRUE)})[0][name]
+    assert_near(found.pose, TRUE)
+    named = re.match(r'its depths are (\S+) % too long', found.note)
+    assert bool(named) == (factor > 1.0) == bool(found.note)
+    assert not named or float(named[1]) == pytest.approx(100.0 * (factor - 1.0), abs=0.3)
 
 
 def test_a_neighbour_holds_a_camera_where_the_scan_does_not():
