@@ -176,7 +176,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     results.add_record(parser, 'floors')
     arguments = parser.parse_args(argv)
     rows = {}
-    for rooms, cameras in ((2, 6), (4, 12), (8, 24)):
+    for rooms, cameras in ((2, 6), (4, 12), (8, 24))[::2 if arguments.count else 1]:
         name = f'{2 * rooms + 1}_rooms' if arguments.count else str(cameras)
         rows[name] = planned(rooms, 'auto', arguments.seconds, **COUNTED) if arguments.count else (
             planned(rooms, cameras, arguments.seconds, sensor='d455'))

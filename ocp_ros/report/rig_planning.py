@@ -127,6 +127,7 @@ class PlannedRig:
         self.engine = with_rays(PROMISING, scene) if has_exact_mesh else PROMISING
         self.planner = RigPlanner(scene, rig, self.engine, budget, task.seed, progress,
                                   task.planner)
+        self._is_mixed = len(rig.document.data['cameras']) > 1
         #: The Pareto front of mixes, if the rig has several groups to count.
         self.mixes: list[Mix] = []
         #: On a floor, a lower bound of the number of cameras, or with groups of their price.
@@ -135,7 +136,7 @@ class PlannedRig:
             self.plans = [self.planner.plan(rig)]
         elif scene.rooms is not None:
             self.plans = self._plans_of_floor(rig, task.counting, scene.rooms.count)
-        elif len(rig.document.data['cameras']) > 1:
+        elif self._is_mixed:
             self.plans = self._plans_by_price(rig, task.counting)
         else:
             self.plans = list(self._plans_by_count(rig, task.counting))
@@ -164,8 +165,7 @@ class PlannedRig:
 
     def _plans_of_floor(self, rig: Rig, counting: Counting, rooms: int) -> list[RigPlan]:
         """Return plans until the fewest or cheapest cameras that reach the target in each room."""
-        groups = len(rig.document.data['cameras'])
-        prices = prices_of(rig) if groups > 1 or np.isfinite(counting.budget) else [1.0]
+        prices = prices_of(rig) if self._is_mixed or np.isfinite(counting.budget) else [1.0]
         least = max(rig.least_cameras - len(rig.fixed), 1)
         if min(prices) * least > counting.budget:
             raise _poor_budget(counting, min(prices) * least)
@@ -173,7 +173,7 @@ class PlannedRig:
         plans, bound = self.planner.count_in_rooms(rig, counting.by, counting.target, most, prices,
                                                    counting.budget)
         if bound is not None:
-            self.least = bound if groups > 1 else ceil(bound / prices[0])
+            self.least = bound if self._is_mixed else ceil(bound / prices[0])
         return plans
 
     def _plans_by_price(self, rig: Rig, counting: Counting) -> list[RigPlan]:
@@ -249,8 +249,11 @@ class PlannedRig:
             found['rooms'] = [{'name': f'room {number}', 'share': float(share),
                                'reached': bool(share >= target - VIEWPOINT_TOLERANCE)}
                               for number, share in enumerate(shares, start=1)]
-            found['at_least'] = self.least
-        if len(self.best.rig.document.data['cameras']) > 1 or self.mixes:
+            # Poses off the candidates may do with less than the bound.
+            used = sum(camera.price for camera in self.best.rig.cameras) if self._is_mixed else (
+                found['cameras'])
+            found['at_least'] = self.least if (self.least or 0.0) <= used else None
+        if self._is_mixed:
             # The plan before may have more cameras, which cost less.
             return {**found, 'mix': mix_text(self.best.rig)}
         return {**found,

@@ -316,15 +316,19 @@ class RigPlanner:
 
         # Numbers of cameras that do not suffice and that do, between which the number is halved.
         enough, failed, reached = placed, None, None
-        low = len(placed) - 1 if lacking(placed) is not None else counts.fewest(least_price) - 1
-        while len(enough) - low > 1 and not self.budget.stopped:
+        low = counts.fewest(least_price) - 1
+        suffices = lacking(placed) is None
+        while suffices and not self.budget.stopped and (len(enough) - low > 1 or (
+                # Off the candidates, fewer cameras than the bound may suffice.
+                failed is None and low >= counts.fewest(None))):
             fewer = enough
-            while len(fewer) > (low + len(enough)) // 2:
+            while len(fewer) > min((low + len(enough)) // 2, len(enough) - 1):
                 fewer = counts.without_one(fewer)
             plan = planned(fewer)
             if plan.reaches(by, target):
                 groups = [one.group for one in sorted(fewer, key=attrgetter('group'))]
                 enough, reached = [*map(Placed, groups, plan.answer.sites)], plan
+                low = min(low, len(enough) - 1)
             else:
                 low, failed = len(fewer), plan
         plans = [failed, reached or planned(enough)]
