@@ -274,7 +274,7 @@ def glass_partition(rng: np.random.Generator, folder: Path) -> Verdict:
     degrees = rng.uniform(0.0, 360.0)
     own = turned(points[points[:, 0] > -0.035], degrees)
     answer = read(saved(folder, turned(points, degrees)))
-    return room_verdict(answer, own, size, degrees, answer.says('glass|opening'))
+    return room_verdict(answer, own, size, degrees, answer.says('glass|opening|mirror'))
 
 
 @kind

@@ -20,14 +20,12 @@ separates into rooms. A beam over the whole width of a corridor is not a lintel,
 a shelf is not a room.
 """
 
-from collections.abc import Iterator
 from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
-from ocp_ros.geometry.cameras import rotation_matrix
-from ocp_ros.geometry.clouds import corners_of, voxel_downsample
-from ocp_ros.geometry.normals import STEEP
+from ocp_ros.geometry.clouds import voxel_downsample
+from ocp_ros.scenes.glass_walls import ceiling_height, glass_walls
 from ocp_ros.scenes.scene import MIN_POINTS, Rooms, Scene
 from scipy import ndimage
 from scipy.spatial import cKDTree
@@ -72,7 +70,7 @@ def main_room(scene: Scene, points: np.ndarray, surfaces: np.ndarray, all_rooms:
     # Rooms cannot be separated with coarser cells, nor on a plan of more than 5000 m2.
     if cell > 0.2 or np.prod(np.ptp(thin_points[:, :2], axis=0)) > 5000.0:
         return scene
-    glass = _glass_walls(scene, points) - corner[:2]
+    glass = glass_walls(scene, points) - corner[:2]
     if all_rooms:
         return _with_rooms(scene, thin_points, cell, glass, corner)
     numbers, wall_shares = _separate_rooms(thin_points, cell, glass, MIN_HALF_WIDTH_M)
@@ -275,104 +273,6 @@ def _near_surfaces(points: np.ndarray, surfaces: np.ndarray) -> np.ndarray:
     return thin_points[is_kept]
 
 
-def _glass_walls(scene: Scene, points: np.ndarray) -> np.ndarray:
-    """
-    Find walls of glass: lines at which floor and ceiling at once become less dense.
-
-    Glass lets a part of the rays of a scanner through twice, there and back. So the points behind
-    it are fewer, and their number drops at once, not slowly with the distance from the scanner.
-
-    :param points: (N, 3) metres, the points of the file before merging.
-    :returns: (G, 2) metres, places on these walls, 5 cm apart.
-    """
-    is_steep = np.abs(scene.normals_or_estimate[:, 2]) <= STEEP
-    normals = scene.normals_or_estimate[is_steep].astype(np.float64)
-    # The direction of the walls: angles are the same after quarters of a turn.
-    angle = np.angle(np.exp(4j * np.arctan2(normals[:, 1], normals[:, 0])).sum()) / 4.0
-    rotation = rotation_matrix(angle)[:2, :2]
-    places = points[:, :2] @ rotation
-    floor = np.percentile(points[:, 2], 1.0)
-    ceiling = floor + _ceiling_height(points[:, 2] - floor)
-    layers = [places[np.abs(points[:, 2] - z) < 0.1] for z in (floor, ceiling)]
-    found = [np.empty((0, 2))]
-    for axis in (0, 1):
-        for start, end in _density_steps([layer[:, [axis, 1 - axis]] for layer in layers]):
-            count = int(np.ceil(np.ptp([start[1], end[1]]) / 0.05)) + 1
-            line = np.linspace(start, end, count)
-            found.append(line if axis == 0 else line[:, ::-1])
-    return np.concatenate(found) @ rotation.T
-
-
-def _density_steps(layers: list[np.ndarray]) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """
-    Yield the lines along the second axis at which all layers become less dense.
-
-    :param layers: places (N, 2) metres on the floor, and those on the ceiling.
-    :returns: the start and the end (2,) of each line.
-    """
-    if min(map(len, layers)) < MIN_POINTS:
-        return
-    # Cells are narrow across the line, and as long as a run of a few along it.
-    edges = np.array([0.05, 0.4])
-    low, high = corners_of(np.concatenate(layers))
-    bins = np.maximum(((high - low) / edges).astype(int) + 1, 1)
-    width = 10
-    if bins[0] < 5 * width:
-        return
-    counts = np.array([np.histogram2d(*layer.T, bins, np.column_stack(
-        [low, low + bins * edges]))[0] for layer in layers])
-    # Sums of the cells in ``width`` rows: from each row on.
-    sums = np.cumsum(np.pad(counts, ((0, 0), (1, 0), (0, 0))), axis=1)
-    sums = sums[:, width:] - sums[:, :-width]
-    # Strips on both sides, a row apart, and the next ones on either side.
-    far_before, before, behind, far_behind = (
-        sums[:, start:start + sums.shape[1] - 3 * width - 1]
-        for start in (0, width, 2 * width + 1, 3 * width + 1))
-    # Twice: with the glass room behind, and before.
-    for strips in ((far_before, before, behind, far_behind),
-                   (far_behind, behind, before, far_before)):
-        yield from _steps_between(*strips, low + [edges[0] * (2 * width + 0.5), 0.0], edges)
-
-
-def _steps_between(far_room: np.ndarray, room: np.ndarray, other: np.ndarray,
-                   far_other: np.ndarray, low: np.ndarray, edges: np.ndarray
-                   ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Yield the lines between strips; see :func:`_density_steps`."""
-    # The logarithm of the odds that a cell has a step to 0.45, and no mere decline to 0.7; a
-    # shadow of furniture counts little.
-    log_odds = np.clip(other * np.log(0.31 / 0.41) + room * np.log(0.69 / 0.59), -2.0, 2.0)
-    # The run of cells along each line with the largest sum.
-    ends = np.cumsum(np.pad(log_odds.sum(axis=0), ((0, 0), (1, 0))), axis=1)
-    rises = ends - np.minimum.accumulate(ends, axis=1)
-    last = np.argmax(rises, axis=1)
-    gains = rises.max(axis=1)
-    for row in np.flatnonzero(gains > 3.0):
-        # Only the best line within half a metre.
-        if gains[row] < gains[max(row - 10, 0):row + 11].max():
-            continue
-        first = int(np.argmin(ends[row, :last[row] + 1]))
-        if last[row] - first < 6:
-            continue
-        strips = [strip[:, row, first:last[row]] for strip in (far_room, room, other, far_other)]
-        totals = [strip.sum(axis=1) + 1.0 for strip in strips]
-        # Glass lets a like share through all along the line; other edges are ragged.
-        near, behind = (ndimage.uniform_filter1d(strip, 3, axis=1, mode='nearest')
-                        for strip in strips[1:3])
-        if ((near >= 2.0) & (behind > 0.12 * near) & (behind < 0.8 * near)).mean() < 0.7:
-            continue
-        # How much more floor and ceiling decline at the line than before it and behind it.
-        decline = np.minimum(np.sqrt(totals[1] / totals[0] * totals[3] / totals[2]), 1.0)
-        steps = np.log(decline * totals[1] / totals[2])
-        variances = 1.0 / totals[1] + 1.0 / totals[2] + 0.25 * sum(1.0 / one for one in totals)
-        step = np.average(steps, weights=1.0 / variances)
-        deviation = 1.0 / np.sqrt(np.sum(1.0 / variances))
-        is_alike = np.ptp(steps) < 0.1 + 2.0 * np.sqrt(variances.sum())
-        if is_alike and step > max(0.4, 4.0 * deviation) and steps.min() > 0.25:
-            x = low[0] + edges[0] * row
-            yield (np.array([x, low[1] + edges[1] * (first - 1)]),
-                   np.array([x, low[1] + edges[1] * (last[row] + 1)]))
-
-
 def _facing_points(points: np.ndarray, is_room: np.ndarray, cell: float, tree: cKDTree,
                    radius: float) -> np.ndarray:
     """
@@ -402,29 +302,6 @@ def _facing_points(points: np.ndarray, is_room: np.ndarray, cell: float, tree: c
         is_open &= ~np.isfinite(gaps)
     is_facing[is_facing] = is_open
     return is_facing
-
-
-def _ceiling_height(heights: np.ndarray) -> float:
-    """
-    Return the height of the ceiling above the floor, metres.
-
-    :param heights: (N,) metres, heights of points above the floor.
-    :returns: the height of the ceiling; without a clear ceiling, the height below which 99 % of
-        the points are.
-    """
-    top = float(np.percentile(heights, 99))
-    layer_m = 0.1
-    min_ceiling_m = 1.9
-    upper_heights = heights[heights > min_ceiling_m] - min_ceiling_m
-    layer_counts = np.bincount((upper_heights / layer_m).astype(int), minlength=2)
-    # The ceiling may lie across the border of two layers: each layer gets the points of the layer
-    # below it as well.
-    layer_counts[1:] += layer_counts[:-1].copy()
-    # A ceiling has more than three times as many points as the median layer.
-    if layer_counts.max() <= 3.0 * np.median(layer_counts):
-        return top
-    # The middle of the layer; if the ceiling lies across a border, that of the upper layer.
-    return min(top, min_ceiling_m + layer_m * (int(layer_counts.argmax()) + 0.5))
 
 
 def _separate_rooms(points: np.ndarray, cell: float, glass: np.ndarray, min_half_width: float
@@ -498,7 +375,7 @@ def _walls_and_lintels(heights: np.ndarray, cells: np.ndarray, shape: tuple[int,
     def occupied_between(low: float, high: float) -> np.ndarray:
         return _occupied_cells(cells[(heights >= low) & (heights < high)], shape)
 
-    ceiling = _ceiling_height(heights)
+    ceiling = ceiling_height(heights)
     disc = _disc(1.0)
     # Walls have points 12 to 50 cm under the ceiling.
     is_high = ndimage.binary_dilation(occupied_between(ceiling - 0.5, ceiling - 0.12), disc)

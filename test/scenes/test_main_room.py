@@ -259,7 +259,8 @@ def test_what_a_scanner_sees_through_a_window_is_left_out_and_named(below):
     assert floor_height(scene) == pytest.approx(0.0, abs=0.02)
 
 
-def test_what_is_behind_glass_is_another_room_and_what_a_scanner_hardly_reaches_is_not():
+@pytest.mark.parametrize('has_frame', [False, True], ids=['glass alone', 'glass in a frame'])
+def test_what_is_behind_glass_is_another_room_and_what_a_scanner_hardly_reaches_is_not(has_frame):
     rng = np.random.default_rng(0)
     points = sample_faces(box((0, 0, 0), (10.0, 4.5, 2.7)), 60_000)[:, :3]
     # A scanner stands in the middle of the larger part; glass lets 45 % through.
@@ -269,6 +270,14 @@ def test_what_is_behind_glass_is_another_room_and_what_a_scanner_hardly_reaches_
     behind = points[:, 0] < 3.5
     assert len(scene_of(turned(points[seen], 20.0))) > 0.98 * np.count_nonzero(seen)
     shown = seen & ~(behind & (chance > 0.45))
+    if has_frame:
+        # Its rails hide a strip of the floor and a wider one of the ceiling.
+        shadow = np.where(points[:, 2] < 1.35, 0.15, 0.35)
+        shown &= ~behind | (points[:, 0] < 3.5 - shadow)
+        rails = rng.uniform((3.48, 0, 0), (3.54, 4.5, 0.08), (1600, 3))
+        rails[::2, 2] = 2.7 - rails[::2, 2]
+        points, behind = np.concatenate([points, rails]), np.append(behind, np.zeros(1600, bool))
+        shown = np.append(shown, np.ones(1600, bool))
     with pytest.warns(SceneWarning, match='glass.*--all-rooms'):
         scene = scene_of(turned(points[shown], 20.0))
     found = turned(scene.points.astype(float), -20.0)
