@@ -53,10 +53,10 @@ def bill_of_materials(assessed: 'Assessment') -> dict[str, Any]:
     Return what has to be bought for the cameras to be placed, as plain data.
 
     :returns: ``items``: ``item``, ``count``, ``price`` of one and ``sum`` (None if unknown),
-        ``source`` and ``date`` of the price, and what is ``unverified`` of the sensor; ``cables``:
-        ``camera``, ``along`` (walls, ceiling or floor), ``length`` and the length to ``order``,
-        metres; ``computer``: where they end, x, y, z, metres; ``total`` of the known prices, in
-        ``currency``, and how many items ``lack`` one.
+        ``source`` and ``date`` of the price, and ``unverified``, figures of the sensor to compare,
+        if there are any; ``cables``: ``camera``, ``along`` (walls, ceiling or floor), ``length``
+        and the length to ``order``, metres; ``computer``: where they end, x, y, z, metres;
+        ``total`` of the known prices, in ``currency``, and how many items ``lack`` one.
     """
     placed = [one for one in assessed.placement.cameras if one.mount != FIXED]
     items = []
@@ -69,10 +69,11 @@ def bill_of_materials(assessed: 'Assessment') -> dict[str, Any]:
             'count': count, 'price': price, 'sum': None if price is None else price * count,
             'source': listed.source if is_listed else '' if price is None else 'rig file',
             'date': listed.date if is_listed else '',
-            'unverified': SENSORS[sensor].unverified if sensor in SENSORS else ''})
+            **({'unverified': SENSORS[sensor].unverified}
+               if sensor in SENSORS and SENSORS[sensor].unverified else {})})
     for mount, count in Counter(one.mount for one in placed).items():
         items.append({'item': MOUNT_ITEMS[mount], 'count': count, 'price': None, 'sum': None,
-                      'source': '', 'date': '', 'unverified': ''})
+                      'source': '', 'date': ''})
     computer, cables = _cables_of(assessed)
     sums = [item['sum'] for item in items if item['sum'] is not None]
     # Mounts have no list price.
@@ -86,7 +87,8 @@ def bill_rows(bill: Mapping[str, Any]) -> list[tuple[str, ...]]:
     rows = [(str(item['count']), item['item'], _amount(item['price']), _amount(item['sum']),
              '; '.join(filter(None, [
                  ', '.join(filter(None, [item['source'], item['date']])),
-                 item['unverified'] and f'compare with the data sheet: {item["unverified"]}'])))
+                 'unverified' in item and
+                 f'compare with the data sheet: {item["unverified"]}'])))
             for item in bill['items']]
     lengths = Counter(cable['order'] for cable in bill['cables'])
     rows += [(str(count), f'cable of {length:g} m', '', '', 'along walls, ceiling or floor')

@@ -67,8 +67,7 @@ def test_prices_are_those_of_the_catalogue_unless_the_file_has_others():
     d455 = PRICES['realsense_d455']
     assert bill['items'][0] == {
         'item': SENSORS['realsense_d455'].title, 'count': 2, 'price': d455.amount,
-        'sum': 2 * d455.amount, 'source': d455.source, 'date': d455.date,
-        'unverified': ''}
+        'sum': 2 * d455.amount, 'source': d455.source, 'date': d455.date}
     assert bill['total'] == 2 * d455.amount and bill['lack'] == 0
     assert bill_rows(bill)[-1][3] == f'{2 * d455.amount:,.2f}'
     own = bill_in_box([[3.0, 0.1, 2.0]], 'walls', cameras=[{
