@@ -151,6 +151,7 @@ class ColumnGenerationSearch:
         self._time_shares = TUNING.relaxed_time_shares if self._relaxed else TUNING.time_shares
         #: Stage of the search: 0 is the grid, 1 refinement, 2 its repetitions, 3 the proof.
         self._stage = 0
+        self._relaxation: ColumnGeneration | None = None
         self._first_choices = TUNING.first_choices
         self._repeated_choices = TUNING.repeated_choices
         #: Moves of each choice, first and in each repetition; a budget of evaluations sets others.
@@ -181,8 +182,8 @@ class ColumnGenerationSearch:
         # Choose on the grid.
         grid_share, _, repeated_share = self._time_shares
         proof = GrowingProof(self.problem, self.pool, self.budget, grid_share)
+        relaxation = self._relaxation = proof.relaxation
         proof.raise_bound(grid_share)
-        relaxation = proof.relaxation
         choices = relaxation.find_choices(self._first_choices, self.rng,
                                           self.budget.deadline_check(grid_share))
         starts = [self._sites_of(relaxation, choice) for choice in choices]
@@ -207,6 +208,7 @@ class ColumnGenerationSearch:
             # No choice on the grid, and no given placement: the cameras are placed as close
             # together as the spacing allows.
             results = [self._rate_placement(self.pool.packed_sites(self.problem.rig))]
+        relaxation.steps = 0
         self._stage, best = 3, results[0]
         if self._relaxed:
             # Links have to hold for what the scan proves, which the search does not look at.
@@ -241,7 +243,10 @@ class ColumnGenerationSearch:
             return self.budget.used_share(self.evaluations, self.max_evaluations)
         # Half of the evaluations are for the first refinement, half for the repetitions.
         doubled_share = 2.0 * self.evaluations / self.max_evaluations
-        stage_share = (self.pool.grid_share, doubled_share, doubled_share - 1.0, 0.0)[self._stage]
+        # How many steps a proof takes is not known before: each is 15 % of the rest.
+        proof_share = 1.0 - 0.85 ** (self._relaxation.steps if self._relaxation else 0)
+        stage_share = (0.5 * (self.pool.grid_share + proof_share), doubled_share,
+                       doubled_share - 1.0, proof_share)[self._stage]
         starts = (0.0, *self._time_shares, 1.0)
         start, end = starts[self._stage:self._stage + 2]
         return start + (end - start) * float(np.clip(stage_share, 0.0, 1.0))

@@ -58,13 +58,23 @@ def problem_of(count=3, sensor='d455', **more):
 
 def test_without_a_limit_of_time_progress_is_that_of_the_steps():
     problem = problem_of(1)
-    pool, budget = CandidatePool(problem, 60, max_grid_poses=200), Budget(evaluations=40)
+    shares = []
+
+    class WatchedBudget(Budget):
+        def used_share(self, *arguments):
+            # Searches and proofs ask for it again and again.
+            shares.append(runner.used_share())
+            return super().used_share(*arguments)
+
+    pool, budget = CandidatePool(problem, 60, max_grid_poses=200), WatchedBudget(evaluations=40)
     runner = ColumnGenerationSearch(problem, pool, budget, 0)
     assert runner.used_share() == 0.0
     pool.dense_grid(problem, problem.rig.models[0]).grow(8)
     grown = runner.used_share()
     runner.run()
     assert 0.0 < grown < runner.used_share() <= 1.0
+    # The proof after the search is the last fifth, and moves too.
+    assert shares == sorted(shares) and 0.8 < shares[-1] < 1.0
 
 
 def few_of(problem, most):

@@ -112,6 +112,7 @@ class ColumnGeneration:
     :ivar bound: lower bound of the loss of every choice of poses whose gains were computed: all
         poses of the grids, except at places that were added later.
     :ivar closed: whether the bound is the best that the relaxation can give.
+    :ivar steps: number of optima and of passes over all poses since the bound began to rise.
     """
 
     def __init__(self, trees: LossTrees, grids: Sequence[PoseGrid], counts: Sequence[int],
@@ -121,6 +122,7 @@ class ColumnGeneration:
         self.counts = np.array(counts)
         self.spacing = spacing
         self._point_count = points
+        self.steps = 0
         #: Columns of the greedy choice, which are always kept; None before the first program.
         self._greedy: list[Column] | None = None
         #: The loss of the shares, which is not below the optimum of the program.
@@ -187,6 +189,7 @@ class ColumnGeneration:
         # No loss is below 0.
         self.bound = 0.0
         self.closed = False
+        self.steps = 0
         if self._greedy is None:
             self._greedy = self._choose_greedily(should_stop)
             self.add_columns(self._greedy)
@@ -310,6 +313,7 @@ class ColumnGeneration:
         # Add cuts at the optima until the program's losses are nearly the real ones.
         for _ in range(TUNING.max_rounds):
             solution = program.solve(should_stop)
+            self.steps += 1
             optimum = solution.losses.sum()
             # The loss at the solution: the largest value of the new cuts there.
             loss = max(add_cuts(shares, solution)
@@ -357,6 +361,7 @@ class ColumnGeneration:
             has ended the computation.
         """
         trees = self.trees.gain_trees(multipliers)
+        self.steps += 1
 
         def batch_gains(grid: PoseGrid, batch: list[int]) -> list[tuple[int, np.ndarray]]:
             if should_stop():
