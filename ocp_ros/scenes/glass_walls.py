@@ -142,13 +142,15 @@ def _is_glass(counts: np.ndarray, before: int, behind: int) -> bool:
         steps, variances = _fitted_steps(rows, before, behind, reach)
         if np.ptp(steps) > 0.4 + 2.0 * np.sqrt(variances.sum()):
             return False
+        near_step = np.average(steps, weights=1.0 / variances)
+        deviation = 1.0 / np.sqrt(np.sum(1.0 / variances))
         if reach == FAR_ROWS:
-            step = np.average(steps, weights=1.0 / variances)
-            deviation = 1.0 / np.sqrt(np.sum(1.0 / variances))
+            step = near_step
             if not max(0.4, 3.0 * deviation) < step < 1.6 or (
                     variances.max() > 0.2 or steps.min() < 0.25):
                 return False
-    return True
+    # A mere decline is no step in the nearest rows.
+    return bool(near_step + 2.0 * deviation > 0.5 * step)
 
 
 def _fitted_steps(counts: np.ndarray, before: int, behind: int, reach: int
