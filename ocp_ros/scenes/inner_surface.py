@@ -457,15 +457,15 @@ def _drift_of(scene: Scene, air: EnclosedAir) -> str:
     rarer, doubled = sorted(shares, key=shares.__getitem__)
     if shares[doubled] < 0.2 or shares[rarer] > 0.15:
         return ''
-    # Where scans overlap only in part, fewer surfaces are doubled, but all by one distance, or by
-    # one each way: count the gaps within 5 cm of each other, twice.
+    # Where scans overlap only in part, fewer walls are doubled, but all by one distance, or by one
+    # each way: count the gaps within 5 cm of each other, twice. Tops of furniture are like floors.
     gaps = np.sort(found[doubled][np.isfinite(found[doubled])])
     other_gaps = gaps
     for _ in range(2):
         counts = np.searchsorted(other_gaps, other_gaps + 0.05) - np.arange(len(other_gaps))
         first = int(counts.argmax()) if len(counts) else 0
         other_gaps = np.delete(other_gaps, slice(first, first + counts.max(initial=0)))
-    if shares[doubled] < 0.33 and len(other_gaps) > 0.1 * len(gaps):
+    if shares[doubled] < 0.33 and (doubled == 'floors' or len(other_gaps) > 0.1 * len(gaps)):
         return ''
     low, high = np.percentile(gaps, [10.0, 90.0])
     gap = f'{high:.2f} m' if high - low < 0.03 else f'{low:.2f} to {high:.2f} m'
