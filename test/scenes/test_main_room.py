@@ -295,6 +295,11 @@ def test_a_scan_that_has_drifted_stays_whole_and_gets_a_note(shift, overlap, sai
     assert len(scene) > 0.98 * (len(first) + len(second))
 
 
+def test_furniture_of_one_height_is_no_drift():
+    tops = side((1.0, 1.0, 0.45), (3.0, 0, 0), (0, 2.5, 0))
+    assert scene_of(np.concatenate([rooms((0.0, 6.0, 2.7)), tops])).notes == ()
+
+
 def test_what_is_said_of_a_scan_does_not_depend_on_its_thinning():
     hall = rooms((0.0, 14.0, 6.0), depth=10.0)
     racks = [side((2.0, y, z), (10.0, 0, 0), (0, 1.5, 0)) for y in (2.0, 6.0) for z in (1.5, 3.0)]
