@@ -74,6 +74,9 @@ TABLES = [
      'recognise depth_15mm depth_4mm_incidence_75 two_from_30_degrees one_may_fail',
      'requirements/requirements/{row}/{key}',
      'asked promised_met met clear_verdict_right clear_verdicts delivered_over_promised'),
+    (RESULTS, '| kind |', 'view_through_a_window glass_partition drifted_scan attic '
+     'low_ceiling stray_points plain_room', 'rooms_read/kinds/{row}/{key}',
+     'after/right after/wrong before/right before/wrong'),
     (MODELS, '| repairs', 'literal_60000_0 critics_60000_0 updates_60000_0 blocks_60000_0 '
      'augmented_60000_0 augmented_300000_0 wide_300000_0', 'ladder/rows/{row}/{key}',
      'interactions ratio least_ratio'),
