@@ -92,6 +92,8 @@ POINTS = 120_000
 CAMERAS, NEAR, AIR, HEIGHTS = 4, 0.6, 0.15, (1.7, 2.4)
 #: Frames of each camera.
 FRAMES = 20
+#: The sensors.
+BOTH = 'realsense_d455', 'azure_kinect_nfov'
 #: Radius and height of a person, metres.
 PERSON = 0.25, 1.75
 
@@ -143,6 +145,7 @@ class BenchRoom(NamedTuple):
     :ivar scene: its scan.
     :ivar see: what a camera sees there.
     :ivar hangs: poses of cameras, in the map frame.
+    :ivar sensors: the cameras' presets, one measured after the other.
     """
 
     kind: str
@@ -150,6 +153,12 @@ class BenchRoom(NamedTuple):
     scene: Scene
     see: See
     hangs: list[Pose]
+    sensors: tuple[str, ...] = BOTH
+
+    @property
+    def rng(self) -> np.random.Generator:
+        """Return a new generator of errors; each room has other devices."""
+        return np.random.default_rng([*self.name.encode()])
 
 
 def pixel_rays(model: CameraModel) -> np.ndarray:
@@ -232,13 +241,18 @@ def hung(size: np.ndarray, is_free: Callable[[np.ndarray], bool], rng: np.random
     return poses
 
 
+def likely_in(seed: int, stream: int, count: int) -> tuple[See, list[Pose]]:
+    """Return what cameras see in a generated room, and poses near its walls by some stream."""
+    plan = plan_of(seed)
+    boxes = boxes_of(plan)
+    return partial(cast, MeshRays(mesh_of(plan))), hung(
+        plan.size, lambda at: is_position_free(at, AIR, *boxes),
+        np.random.default_rng([seed, stream]), count)
+
+
 def generated(seed: int, kind: str) -> Iterator[BenchRoom]:
     """Yield a generated room, scanned from tripods ('tripod') or by hand ('hand')."""
-    plan = plan_of(seed)
-    rays, boxes = MeshRays(mesh_of(plan)), boxes_of(plan)
-    hangs = hung(plan.size, lambda at: is_position_free(at, AIR, *boxes),
-                 np.random.default_rng([seed, 5]))
-    see = partial(cast, rays)
+    see, hangs = likely_in(seed, 5, CAMERAS)
     if kind == 'tripod':
         scene = generate_room(seed, POINTS)
     else:
@@ -249,28 +263,26 @@ def generated(seed: int, kind: str) -> Iterator[BenchRoom]:
 
 def linked(seed: int, least: float) -> Iterator[BenchRoom]:
     """
-    Yield a generated room in which each camera shares some of its points with an earlier one.
+    Yield a generated room for each sensor, in which each camera shares points with an earlier one.
 
-    :param least: the least share, at most 20 % less than the largest.
+    :param least: the least share of its points, at most 20 % less than the largest.
     """
-    plan = plan_of(seed)
-    rays, boxes = MeshRays(mesh_of(plan)), boxes_of(plan)
-    see, model = partial(cast, rays), SENSORS['realsense_d455'].model
-    likely = hung(plan.size, lambda at: is_position_free(at, AIR, *boxes),
-                  np.random.default_rng([seed, 6]), 60)
-    views = [LiveView(see(pose, 'realsense_d455')[0], model) for pose in likely]
-    chosen = [0]
-    for k in range(1, len(likely)):
-        largest = max(min(_shared(views[a], likely[a], views[b], likely[b])
-                          for a, b in ((k, one), (one, k))) for one in chosen)
-        if least <= largest <= least + 0.2 and len(chosen) < CAMERAS:
-            chosen.append(k)
-    if len(chosen) == CAMERAS:
-        yield BenchRoom('none', str(seed), generate_room(seed, 1000), see,
-                        [likely[k] for k in chosen])
+    see, likely = likely_in(seed, 6, 60)
+    for sensor in BOTH:
+        chosen: list[tuple[LiveView, Pose]] = []
+        for pose in likely:
+            view = LiveView(see(pose, sensor)[0], SENSORS[sensor].model)
+            largest = max((min(shared_by(view, pose, *one), shared_by(*one, view, pose))
+                           for one in chosen), default=least)
+            if least <= largest <= least + 0.2:
+                chosen.append((view, pose))
+            if len(chosen) == CAMERAS:
+                yield BenchRoom('none', str(seed), generate_room(seed, 1000), see,
+                                [pose for _, pose in chosen], (sensor,))
+                break
 
 
-def _shared(view: LiveView, pose: Pose, other: LiveView, other_pose: Pose) -> float:
+def shared_by(view: LiveView, pose: Pose, other: LiveView, other_pose: Pose) -> float:
     """Return the share of what a camera sees that another one sees too."""
     relative = relative_pose(pose, other_pose)
     return other.compared(
@@ -312,8 +324,8 @@ def _turned_up(path: Path) -> Mesh:
 
 def measured_in(room: BenchRoom, people: int, frames: int) -> Iterator[dict]:
     """Yield what becomes of each camera and sensor in a room, before and after."""
-    scan, rng = ScanSurfaces(room.scene), np.random.default_rng(0)
-    for sensor in ('realsense_d455', 'azure_kinect_nfov'):
+    scan, rng = ScanSurfaces(room.scene), room.rng
+    for sensor in room.sensors:
         seen = [room.see(pose, sensor, frames, people, rng) for pose in room.hangs]
         rows = [[*start.position, *heading_of(start.rotation)]
                 for start in (off(pose, *START, rng) for pose in room.hangs)]
@@ -333,8 +345,8 @@ def measured_in(room: BenchRoom, people: int, frames: int) -> Iterator[dict]:
 
 def mutual_in(room: BenchRoom, people: int, frames: int) -> Iterator[dict]:
     """Yield what becomes of cameras without a scan, and of cameras that move or do not."""
-    for sensor in ('realsense_d455', 'azure_kinect_nfov'):
-        model, rng = SENSORS[sensor].model, np.random.default_rng(0)
+    for sensor in room.sensors:
+        model, rng = SENSORS[sensor].model, room.rng
         devices = rng.integers(1 << 31, size=len(room.hangs))
 
         def view(number: int, pose: Pose, sensor=sensor, model=model, rng=rng, devices=devices
