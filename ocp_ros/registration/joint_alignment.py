@@ -397,7 +397,9 @@ def _in_blocks(constraints: Sequence[Constraints], size: int, poses: Sequence[Po
     :returns: of all M points with a weight, in the order of their blocks: jacobians (M, size),
         residuals (M,), weights (M,) and the numbers of their blocks (M,).
     """
-    rows, cells, residuals, weights = [], [], [], []
+    # Without any constraint, all arrays are empty.
+    rows, cells = [np.zeros((0, size + len(poses)))], [np.zeros((0, 5))]
+    residuals, weights = [np.zeros(0)], [np.zeros(0)]
     for one in constraints:
         # Points of almost no weight are left out.
         used = one.weights > 1e-9 * max(one.weights.max(initial=0.0), 1e-9)

@@ -24,7 +24,7 @@ count against it. The best ones are registered in all six directions. Then camer
 one after the other, so that all that see each other agree, and all are registered together.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -58,6 +58,8 @@ TOP_WEIGHT, FREE_WEIGHT = 2.0, 0.1
 TURNS, SHIFTS, KEPT = 8, 8, 4
 #: How many likely rigs are kept while cameras are added.
 BEAM = 3
+#: Metres and radians: likely poses of a camera that differ by more than either are not the same.
+APART = 0.2, np.deg2rad(6.0)
 #: How all cameras are registered together.
 JOINT_STAGES = (AlignmentStage((0.3, 0.1), (8.0, 3.0), 14),
                 AlignmentStage((0.1, 0.06), (3.0, 1.5), 16))
@@ -327,19 +329,16 @@ def register_mutually(views: Mapping[str, LiveView],
                 'others; turn it to what another one sees' for name in names if name not in poses}
     if poses.keys() <= known.keys():
         return {}, reasons
+    measured = measured or {}
     while True:
-        placed = list(poses)
-        totals = [_total(level, poses, name, poses[name]) for name in placed]
-        anchors = [k for k, name in enumerate(placed) if name in known] or [
-            int(np.argmax(totals))]
-        rig = [RigCamera.of(views[name].patches) for name in placed]
-        joint = list(poses.values())
-        distances = distances_between(placed, measured or {})
-        for stage in JOINT_STAGES:
-            joint = joint_poses(rig, joint, stage, anchors, distances)
+        totals = {name: _total(level, poses, name, poses[name]) for name in poses}
+        anchors = [name for name in poses if name in known] or [
+            max(totals, key=totals.__getitem__)]
+        rig = {name: RigCamera.of(views[name].patches) for name in poses}
+        joint = _registered(rig, poses, anchors, measured)
         # A camera at a wrong pose also moves the others.
-        contradicted = {name: _contradicted(level, dict(zip(placed, joint)), name)
-                        for name in placed if name not in known}
+        contradicted = {name: _contradicted(level, joint, name) for name in joint
+                        if name not in known}
         worst = max(contradicted, key=contradicted.__getitem__)
         if contradicted[worst] <= MUTUAL_LIMITS.max_contradicted:
             break
@@ -348,25 +347,40 @@ def register_mutually(views: Mapping[str, LiveView],
             f'free, at most {100.0 * MUTUAL_LIMITS.max_contradicted:.0f} % may; turn it to '
             'something that another one sees and that is there only once')
         del poses[worst]
-        if poses.keys() <= known.keys():
-            return {}, reasons
-    leads = {name: _lead(level, links, poses, name) for name in poses if name not in known}
+        if len(poses) < 2 or poses.keys() <= known.keys():
+            return {}, reasons | dict.fromkeys(
+                poses.keys() - known.keys(), 'no other camera is left that agrees with it')
+    leads = {name: _lead(level, links, rig, poses, joint, name) for name in joint
+             if name not in known}
     if not known:
-        joint = _levelled([level[name] for name in placed], joint)
-    limits = JOINT_STAGES[-1].max_distances[1], JOINT_STAGES[-1].kernel_widths[1]
-    constraints = all_constraints(rig, joint, overlapping_pairs(rig, joint, limits[0]), *limits,
-                                  distances)
+        joint = dict(zip(joint, _levelled([level[name] for name in joint], [*joint.values()])))
+    placed, limits = list(joint), (JOINT_STAGES[-1].max_distances[1],
+                                   JOINT_STAGES[-1].kernel_widths[1])
+    ordered, at = list(rig.values()), list(joint.values())
+    constraints = all_constraints(ordered, at, overlapping_pairs(ordered, at, limits[0]), *limits,
+                                  distances_between(placed, measured))
     found = {}
-    for k, (name, certainty) in enumerate(zip(
-            placed, certainties(constraints, placed, anchors, joint))):
+    for name, certainty in zip(placed, certainties(
+            constraints, placed, [placed.index(name) for name in anchors], at)):
         if name in known:
             continue
-        refused = _refusal(totals[k], leads[name], certainty)
+        refused = _refusal(totals[name], leads[name], certainty)
         if refused and certainty.metres[0] > MUTUAL_LIMITS.max_metres:
             refused += advice(name, certainty.slide_axes[0],
-                              {other: pose.position for other, pose in zip(placed, joint)})
-        found[name] = MutualRegistration(joint[k], totals[k], leads[name], certainty, refused)
+                              {other: pose.position for other, pose in joint.items()})
+        found[name] = MutualRegistration(joint[name], totals[name], leads[name], certainty,
+                                         refused)
     return found, reasons
+
+
+def _registered(rig: Mapping[str, RigCamera], poses: Mapping[str, Pose], anchors: Collection[str],
+                measured: Mapping[tuple[str, str], float]) -> dict[str, Pose]:
+    """Register all cameras together; see :func:`register_mutually`. Anchors keep their poses."""
+    names, found = list(rig), [poses[name] for name in rig]
+    for stage in JOINT_STAGES:
+        found = joint_poses(list(rig.values()), found, stage, [names.index(k) for k in anchors],
+                            distances_between(names, measured))
+    return dict(zip(names, found))
 
 
 _Links = Mapping[tuple[str, str], list[tuple[float, Pose]]]
@@ -418,14 +432,30 @@ def _assembled(level: Mapping[str, LevelView], links: _Links, known: dict[str, P
         rigs = sorted(grown, key=lambda one: -one[0])[:BEAM]
 
 
-def _lead(level: Mapping[str, LevelView], links: _Links, poses: Mapping[str, Pose], name: str
-          ) -> float:
-    """Return the lead in agreement of a placed camera's pose over its other likely poses."""
+def _lead(level: Mapping[str, LevelView], links: _Links, rig: Mapping[str, RigCamera],
+          poses: Mapping[str, Pose], joint: Mapping[str, Pose], name: str) -> float:
+    """
+    Return the lead in agreement of a placed camera's pose over its other likely poses.
+
+    Another pose that agrees about as well is registered too; it counts unless the other cameras
+    contradict it.
+
+    :param poses: the poses of the rig before all were registered together; ``joint``: after that.
+    """
+    lead = own = _total(level, poses, name, poses[name])
     others = [pose.within(base) for other, base in poses.items() if other != name
               for _, pose in links[other, name]]
-    own = _total(level, poses, name, poses[name])
-    return own - max((_total(level, poses, name, place) for place in others
-                      if differ(place, poses[name], (0.2, np.deg2rad(6.0)))), default=0.0)
+    for place in [one for one in others if differ(one, poses[name], APART)]:
+        ahead = own - _total(level, poses, name, place)
+        if ahead < MUTUAL_LIMITS.min_lead:
+            moved = _registered(rig, {**joint, name: place}, rig.keys() - {name}, {})
+            if (not differ(moved[name], joint[name], APART)
+                    or _contradicted(level, moved, name) > MUTUAL_LIMITS.max_contradicted):
+                continue
+            ahead = (_total(level, joint, name, joint[name])
+                     - _total(level, moved, name, moved[name]))
+        lead = min(lead, ahead)
+    return lead
 
 
 def _levelled(level: Sequence[LevelView], poses: Sequence[Pose]) -> list[Pose]:

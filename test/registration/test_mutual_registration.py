@@ -118,6 +118,16 @@ def test_a_camera_at_a_wrong_pose_is_named_and_does_not_move_the_others(clouds, 
                 relative_pose(TRUE[1], TRUE[0]), 0.02, 0.7)
 
 
+def test_two_cameras_that_contradict_each_other_are_both_refused(clouds, monkeypatch):
+    views = {name: LiveView(clouds[name], MODEL) for name in ('cam_0', 'cam_1')}
+    monkeypatch.setattr(mutual_registration, '_assembled', lambda *_: {
+        'cam_0': HERE, 'cam_1': Pose(np.array([1.5, 0.0, 0.0]), np.eye(3))})
+    found, reasons = register_mutually(views)
+    assert found == {} and reasons.keys() == views.keys()
+    # Nothing holds a camera that matches nothing.
+    assert len(certainties([], ['alone'])[0].loose_motions) == 6
+
+
 @pytest.mark.parametrize('camera, number', [(0, 0), (1, 0), (1, 1), (0, 2), (1, 3), (0, 4)])
 def test_errors_of_depths_change_residuals_as_derived(camera, number):
     walls = np.random.default_rng(0).uniform(0.0, 3.0, (3, 1500, 3))
