@@ -138,9 +138,9 @@ def _is_glass(counts: np.ndarray, before: int, behind: int) -> bool:
             like_cells.sum() < 0.75 * np.count_nonzero(is_seen)):
         return False
     rows = np.einsum('lxy,ly->lx', counts, is_like)
-    for reach in (FAR_ROWS, NEAR_ROWS):
+    for reach, deviations in ((FAR_ROWS, 2.0), (NEAR_ROWS, 1.5)):
         steps, variances = _fitted_steps(rows, before, behind, reach)
-        if np.ptp(steps) > 0.4 + 2.0 * np.sqrt(variances.sum()):
+        if np.ptp(steps) > 0.4 + deviations * np.sqrt(variances.sum()):
             return False
         near_step = np.average(steps, weights=1.0 / variances)
         deviation = 1.0 / np.sqrt(np.sum(1.0 / variances))
