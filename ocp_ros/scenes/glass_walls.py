@@ -146,11 +146,11 @@ def _is_glass(counts: np.ndarray, before: int, behind: int) -> bool:
         deviation = 1.0 / np.sqrt(np.sum(1.0 / variances))
         if reach == FAR_ROWS:
             step = near_step
-            if not max(0.4, 3.0 * deviation) < step < 1.6 or (
+            if not max(0.4, 4.0 * deviation) < step < 1.6 or (
                     variances.max() > 0.2 or steps.min() < 0.25):
                 return False
     # A mere decline is no step in the nearest rows.
-    return bool(near_step + 2.0 * deviation > 0.5 * step)
+    return bool(near_step + deviations * deviation > 0.5 * step)
 
 
 def _fitted_steps(counts: np.ndarray, before: int, behind: int, reach: int
