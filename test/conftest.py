@@ -613,3 +613,10 @@ def write_half(path):
     save_scene(made_room(8, 2500), path)
     content = path.read_bytes()
     path.write_bytes(content[:len(content) // 2])
+
+
+def yaml_example(page, first):
+    """Return the YAML of a page that begins with a line."""
+    lines = (ROOT / page).read_text().split(f'    {first}', 1)[1].splitlines()
+    count = next(k for k, line in enumerate(lines[1:], start=1) if not line.startswith('    '))
+    return '\n'.join([first, *(line[4:] for line in lines[1:count])])

@@ -19,7 +19,7 @@ import re
 import shlex
 
 from benchmarks.docs.sensor_table import bandwidth_rows, rows, unverified_rows
-from conftest import made_room, ROOT
+from conftest import made_room, ROOT, yaml_example
 from ocp_ros.cli import main as cli
 from ocp_ros.formats.exports import FORMATS
 from ocp_ros.rig import schemas
@@ -131,13 +131,6 @@ def test_every_format_is_in_the_table_with_a_test_that_there_is():
 
 def test_links_folders_modules_and_targets_exist():
     assert not [fault for page in PAGES for fault in absent(page)]
-
-
-def yaml_example(page, first):
-    """Return the YAML of a page that begins with a line."""
-    lines = (ROOT / page).read_text().split(f'    {first}', 1)[1].splitlines()
-    count = next(k for k, line in enumerate(lines[1:], start=1) if not line.startswith('    '))
-    return '\n'.join([first, *(line[4:] for line in lines[1:count])])
 
 
 def test_every_option_of_plan_is_explained():

@@ -18,25 +18,31 @@ from contextlib import ExitStack
 from io import BytesIO
 import os
 import re
+import shlex
 import signal
 import struct
 import subprocess
 import sys
 
+from benchmarks.calibration_bench import cast, off
 from conftest import (
     counted,
     farthest_distance,
     header_at,
     HUNG,
+    printed,
     refused,
     refused_in_one_sentence,
     ROOT,
+    yaml_example,
 )
 from geometry_msgs.msg import PoseArray
 import numpy as np
 from ocp_ros.cli.main import build_parser, main
-from ocp_ros.geometry.cameras import CameraModel, rotation_matrix
+from ocp_ros.geometry.cameras import CameraModel, Pose, rotation_matrix
 from ocp_ros.geometry.engine_config import EngineConfig
+from ocp_ros.rig.placement_file import load_placement
+from ocp_ros.rooms.generator import generate_room, mesh_of, plan_of
 from ocp_ros.ros.bags.bag_files import Bag, Recorded
 from ocp_ros.ros.bags.bag_process import CLOUD, POSES, TRANSFORMS
 from ocp_ros.ros.bags.bag_replay import Replay, ReplayOptions
@@ -51,6 +57,8 @@ from ocp_ros.ros.interface.conversions import (
     stamp_to_ns,
 )
 from ocp_ros.ros.policy_node import PolicyNode
+from ocp_ros.scenes.meshes import MeshRays
+from ocp_ros.scenes.scene_files import save_scene
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
 from ocp_ros.util.settings import ConfigurationError
@@ -206,6 +214,40 @@ def test_each_camera_is_given_what_it_recorded_in_its_body_frame(clouds, tmp_pat
     np.testing.assert_allclose(chosen['left'], optical(clouds)[1], atol=1e-4)
     with pytest.raises(ConfigurationError, match='/cam2'):
         recorded_clouds(path, ['left'], {'left': '/cam2/points'})
+
+
+@pytest.mark.system
+def test_the_tutorial_of_two_cameras_can_be_followed_from_the_scan_to_putting_one_back(
+        tmp_path, monkeypatch, capsys):
+    page = (ROOT / 'docs' / 'tutorials' / 'two_cameras.md').read_text()
+    info, plan, find, score, compare = [shlex.split(line, comments=True) for line
+                                        in re.findall(r'^    ocp (.*)', page, re.M)]
+    monkeypatch.chdir(tmp_path)
+    save_scene(generate_room(532, 20_000), tmp_path / 'room.ply')
+    (tmp_path / 'rig.yaml').write_text(yaml_example('docs/tutorials/two_cameras.md', 'cameras:'))
+    printed(capsys, *info)
+    printed(capsys, *plan, '--evaluations', '60')
+    rng, bags = np.random.default_rng(0), tmp_path / 'bags'
+    bags.mkdir()
+    # The cameras hang a little beside their planned poses; later, the second one was touched.
+    hung = [off(Pose.of(placed.pose), 0.08, 3.0, rng)
+            for placed in load_placement('out/plan/placement.yaml').cameras]
+    touched = [hung[0], off(hung[1], 0.03, 4.0, rng)]
+    for name, poses in (('recorded', hung), ('recorded_again', touched)):
+        recording, frames = Recording(), [
+            cast(MeshRays(mesh_of(plan_of(532))), pose, 'realsense_d455', 3, 1, rng, number)
+            for number, pose in enumerate(poses)]
+        for time, seen in enumerate(zip(*frames)):
+            recording.add_turn([cloud @ OPTICAL_AXES for cloud in seen],
+                               ('cam0_optical', 'cam1_optical'), False, (1000 + time) * S)
+        recording.write(bags, 'mcap').rename(tmp_path / name)
+    built = printed(capsys, *find)['cameras']
+    for row, pose in zip(built, hung):
+        assert not row['refused'] and np.linalg.norm(row['position'] - pose.position) < 0.01
+    assert 'planned' in printed(capsys, *score)
+    now = printed(capsys, *compare)['cameras']
+    assert [row['moved'] for row in now] == [False, True] and 'turn it' in now[1]['put_back']
+    compile((tmp_path / 'out' / 'built' / 'cameras.launch.py').read_text(), 'launch', 'exec')
 
 
 def add_depth(recording, cameras=2, compressed=False):
