@@ -41,8 +41,10 @@ TABLES = [
      '100/regret 1000/regret 1000/promise_over_delivered 1000/seconds'),
     (RESULTS, '| four cameras', '4_5x2 4_8x2 4_30x0.5',
      'agent/comparisons/four/summary/settings/{row}/{key}',
-     'lookahead/ratio lookahead/interval/0 lookahead/interval/1 random/ratio random/interval/0 '
-     'random/interval/1 alone/ratio'),
+     'lookahead/ratio lookahead/interval/0 lookahead/interval/1'),
+    (RESULTS, '| turns of four cameras', '4_5x2 4_8x2 4_30x0.5',
+     'agent/comparisons/explorers/summary/settings/{row}/{key}',
+     'random/ratio random/interval/0 random/interval/1 alone/ratio'),
     (RESULTS, '| rig, 8 turns', '2_8x2 6_8x2 four_d455_8x2',
      'agent/comparisons/others/summary/settings/{row}/lookahead/{key}',
      'ratio interval/0 interval/1'),
@@ -91,7 +93,7 @@ SENTENCES = [
      'measure/plans/rigs/d455_walls/{key}', 'promise_coverage'),
     (README, 'have {} times the error of cameras that explore by random moves, the search being '
      'equal, after 30 turns of up to 0.5 m, and {} times after 5 turns',
-     'agent/comparisons/four/summary/settings/{key}/random/ratio', '4_30x0.5 4_5x2'),
+     'agent/comparisons/explorers/summary/settings/{key}/random/ratio', '4_30x0.5 4_5x2'),
     (README, 'they have {} times the error of TDSA with 100 evaluations and {} times that of '
      'binary PSO with 1,000', 'agent/comparisons/test/summary/settings/4_30x0.5/{key}/ratio',
      'tdsa_100 bpso_1000'),
