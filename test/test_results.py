@@ -24,6 +24,7 @@ import pytest
 
 README, RESULTS = 'README.md', 'docs/results.md'
 MODELS = 'docs/reference/models.md'
+OVER_ROS = 'docs/tasks/train_over_ros.md'
 ROBUSTNESS, SECURITY = 'docs/reference/robustness.md', 'docs/explanation/security.md'
 NUMBER = r'(?<![\w.])-?\d[\d,]*(?:\.\d+)?(?:e-?\d+)?'
 
@@ -133,6 +134,10 @@ SENTENCES = [
     (RESULTS, 'is {} times that of `lookahead` (95 % interval {} to {})',
      'agent/pooled/lookahead/{key}', 'ratio interval/0 interval/1'),
     (MODELS, 'those after {} of the 300,000 interactions', 'agent/model/{key}', 'interactions'),
+    (MODELS, 'is {} times that at the start. A second training (seed 1) reaches {}',
+     'training/seeds/{key}/ratio', '0 1'),
+    (OVER_ROS, 'falls from {} after {} turns to {} after {} turns',
+     'training/over_ros/error_ratio_by_turns/{key}', '2/1 2/0 19/1 19/0'),
     (MODELS, 'augmented samples has {} after {} interactions',
      'ladder/rows/augmented_180000_1/{key}', 'ratio interactions'),
     (ROBUSTNESS, '{} malformed messages among {} valid', 'drills/fuzz/{key}',
