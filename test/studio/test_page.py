@@ -119,7 +119,8 @@ def test_a_placement_is_planned_saved_and_loaded_and_survives_a_reload(opened, p
     tab.get_by_role('button', name='Plan all').click()
     wait_until(lambda: page.task is not None)
     wait_until(lambda: page.task is None)
-    tab.get_by_text('found the objective value').wait_for()
+    # The last of the searches may find nothing better.
+    tab.get_by_text(re.compile('found (no better than )?the objective value')).wait_for()
     assert page.evaluation.rig_evaluation.loss < before
     show_tab(tab, 'Files')
     tab.get_by_role('textbox').fill('best')
