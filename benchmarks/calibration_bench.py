@@ -32,7 +32,7 @@ frame has some at random places.
 """
 
 import argparse
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 import json
@@ -447,6 +447,38 @@ def _rows_of(job: str, rooms: Callable[..., Iterator[BenchRoom]],
             for row in measure(room, people, frames)]
 
 
+def add_lines(parser: argparse.ArgumentParser, name: str, line: str) -> None:
+    """Add where the lines of jobs are kept, a file of a name in ``out``, and what of them."""
+    parser.add_argument('--resume', action='store_true', help='keep the lines of earlier calls, '
+                        'and measure what is missing')
+    parser.add_argument('--most', type=int, help='end after so many jobs, to be resumed')
+    parser.add_argument('--workers', type=int, default=1, help='processes')
+    parser.add_argument('--out', type=Path, default=Path('out') / name, help=line)
+
+
+def lines_of(arguments: argparse.Namespace, jobs: Mapping[str, tuple]) -> list[dict]:
+    """
+    Do the jobs whose lines are missing, and return the lines of all.
+
+    :param jobs: by name: a function and its arguments behind the name; it returns its lines, each
+        with the key ``job``.
+    """
+    arguments.out.parent.mkdir(parents=True, exist_ok=True)
+    rows = [json.loads(line) for line in arguments.out.read_text().splitlines()] \
+        if arguments.resume and arguments.out.is_file() else []
+    done = {row['job'] for row in rows}
+    missing = [job for job in jobs if job not in done]
+    with open(arguments.out, 'a' if arguments.resume else 'w') as file, ProcessPoolExecutor(
+            arguments.workers, get_context('spawn')) as pool:
+        for running in [pool.submit(jobs[job][0], job, *jobs[job][1:])
+                        for job in missing[:arguments.most]]:
+            # A room without linked cameras has no rows.
+            rows += running.result()
+            file.writelines(f'{json.dumps(row)}\n' for row in running.result())
+            file.flush()
+    return rows
+
+
 def main(argv: list[str] | None = None) -> int:
     """Measure, and print the figures."""
     parser = argparse.ArgumentParser(description=__doc__.strip().splitlines()[0])
@@ -460,33 +492,17 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument('--real', type=Path, help='folder of real scans')
     parser.add_argument('--people', type=int, default=1, help='people in each frame')
     parser.add_argument('--frames', type=int, default=FRAMES, help='frames of each camera')
-    parser.add_argument('--workers', type=int, default=1, help='processes')
-    parser.add_argument('--resume', action='store_true', help='keep the lines of earlier calls, '
-                        'and measure what is missing')
-    parser.add_argument('--most', type=int, help='end after so many jobs, to be resumed')
-    parser.add_argument('--out', type=Path, default=Path('out/calibration.jsonl'),
-                        help='a line for each registration')
+    add_lines(parser, 'calibration.jsonl', 'a line for each registration')
     results.add_record(parser, 'calibration')
     arguments = parser.parse_args(argv)
-    arguments.out.parent.mkdir(parents=True, exist_ok=True)
-    rows = [json.loads(line) for line in arguments.out.read_text().splitlines()] \
-        if arguments.resume and arguments.out.is_file() else []
     how = arguments.people, arguments.frames
-    jobs = {f'{kind} {seed}': (linked, mutual_in, *how, seed, arguments.overlap)
-            if kind == 'none' else (generated, measured_in, *how, seed, kind)
+    jobs = {f'{kind} {seed}': (_rows_of, linked, mutual_in, *how, seed, arguments.overlap)
+            if kind == 'none' else (_rows_of, generated, measured_in, *how, seed, kind)
             for seed in ROOMS[arguments.set][arguments.first:][:arguments.rooms]
             for kind in arguments.kinds}
     if arguments.real:
-        jobs['real'] = (real, measured_in, *how, arguments.real)
-    missing = {job: what for job, what in jobs.items() if job not in {row['job'] for row in rows}}
-    with open(arguments.out, 'a' if arguments.resume else 'w') as file, ProcessPoolExecutor(
-            arguments.workers, get_context('spawn')) as pool:
-        for running in [pool.submit(_rows_of, job, *missing[job])
-                        for job in list(missing)[:arguments.most]]:
-            # A room without linked cameras has no rows.
-            rows += running.result()
-            file.writelines(f'{json.dumps(row)}\n' for row in running.result())
-            file.flush()
+        jobs['real'] = (_rows_of, real, measured_in, *how, arguments.real)
+    rows = lines_of(arguments, jobs)
     found = figures_of(rows)
     print(json.dumps(found, indent=1))
     if arguments.record:

@@ -24,10 +24,8 @@ their directions. ``--record`` also writes docs/reference/calibration_conditions
 
 import argparse
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from functools import partial
 from itertools import combinations
 import json
-from pathlib import Path
 import sys
 from textwrap import fill
 import time
@@ -35,10 +33,12 @@ from typing import Any, NamedTuple
 
 from benchmarks import results
 from benchmarks.calibration_bench import (
+    add_lines,
     BOTH,
     CAMERAS,
     generated,
     likely_in,
+    lines_of,
     MUTUAL,
     off,
     ROOMS,
@@ -246,6 +246,11 @@ def page_of(document: Mapping[str, Any]) -> str:
         f'with {CHECKED} new frames and other people, {checks["alarms"]} found a movement.', ''])
 
 
+def _rows_of(job: str, part: Callable[..., Iterator[dict]], *settings: int | str) -> list[dict]:
+    """Measure a part; each row names its job."""
+    return [{'job': job, **row} for row in part(*settings)]
+
+
 def main(argv: list[str] | None = None) -> int:
     """Measure, and print the figures."""
     parser = argparse.ArgumentParser(description=__doc__.strip().splitlines()[0])
@@ -253,27 +258,13 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument('--rooms', type=int, default=2, help='how many of them')
     parser.add_argument('--first', type=int, default=10, help='number of the first of them')
     parser.add_argument('--draws', type=int, default=20, help='checks of a camera that is still')
-    parser.add_argument('--resume', action='store_true', help='keep the lines of earlier calls, '
-                        'and measure what is missing')
-    parser.add_argument('--most', type=int, help='end after so many jobs, to be resumed')
-    parser.add_argument('--out', type=Path, default=Path('out/calibration_conditions.jsonl'),
-                        help='a line for each camera under a condition')
+    add_lines(parser, 'calibration_conditions.jsonl', 'a line for each camera under a condition')
     results.add_record(parser, 'calibration_conditions')
     arguments = parser.parse_args(argv)
-    arguments.out.parent.mkdir(parents=True, exist_ok=True)
-    rows = [json.loads(line) for line in arguments.out.read_text().splitlines()] \
-        if arguments.resume and arguments.out.is_file() else []
-    jobs: dict[str, Callable[[], Iterator[dict]]] = {
-        f'{part.__name__} {seed} {sensor}': partial(part, seed, sensor, *more)
+    rows = lines_of(arguments, {
+        f'{part.__name__} {seed} {sensor}': (_rows_of, part, seed, sensor, *more)
         for seed in ROOMS[arguments.set][arguments.first:][:arguments.rooms] for sensor in BOTH
-        for part, more in ((with_scan, ()), (without_scan, ()), (still, (arguments.draws,)))}
-    missing = [job for job in jobs if job not in {row['job'] for row in rows}]
-    with open(arguments.out, 'a' if arguments.resume else 'w') as file:
-        for job in missing[:arguments.most]:
-            found = [{'job': job, **row} for row in jobs[job]()]
-            rows += found
-            file.writelines(f'{json.dumps(row)}\n' for row in found)
-            file.flush()
+        for part, more in ((with_scan, ()), (without_scan, ()), (still, (arguments.draws,)))})
     checks = [row for row in rows if row['table'] == 'still']
     figures = {'conditions': figures_of(rows), 'still': {
         'cameras': len(checks), **{key: sum(row[key] for row in checks)
