@@ -28,7 +28,7 @@ import numpy as np
 from ocp_ros.search.candidate_pool import are_spaced, CandidatePool, MountedCamera
 from ocp_ros.search.pose_decoder import coarse_objective
 from ocp_ros.simulation.objective import Objective
-from ocp_ros.simulation.room_gains import RoomGoal, VIEWPOINT_TOLERANCE
+from ocp_ros.simulation.room_gains import RoomGoal, shares_of, VIEWPOINT_TOLERANCE
 from ocp_ros.simulation.simulator import View
 from scipy.optimize import Bounds, LinearConstraint, milp
 
@@ -96,7 +96,8 @@ class FloorCounts:
         """
         placed: list[Placed] = []
         while len(placed) < most and not should_stop():
-            shares = self._objective.room_shares(views_of(placed))
+            shares = shares_of(self._objective.room_gains(views_of(placed), self.goal.by),
+                               self._objective.possible_gains)
             if len(placed) >= self.fewest(None) and (shares >= self.goal.targets).all():
                 if (lack := lacking(placed)) is None:
                     break
@@ -111,9 +112,7 @@ class FloorCounts:
     def addition(self, placed: Sequence[Placed], max_price: float) -> Placed | None:
         """Return the camera that reduces the loss most for its price; None if none is allowed."""
         given = views_of(placed)
-        first = self._candidates[0].site.view
-        nothing = View(*map(np.zeros_like, first[:2]), good=np.zeros_like(first.good))
-        before = self._objective.losses_with(given, [nothing], eased=True)[0]
+        before = self._objective.losses_with(given, [self._objective.empty_view], eased=True)[0]
         prices = self._prices[self._groups]
         waiting = are_spaced(self._poses, [one.site for one in placed], self._rig.spacing)
         waiting &= prices <= max_price - self.price(placed) + 1e-9

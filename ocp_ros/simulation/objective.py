@@ -121,7 +121,8 @@ class Objective:
         self.possible_gains: np.ndarray | None = None
         count = len(rig.cameras)
         self.fixed = [simulator.look(pose, count + k) for k, pose in enumerate(rig.fixed_poses)]
-        self._empty_view = View(
+        #: What a camera that sees nothing sees.
+        self.empty_view = View(
             no_bits(len(simulator.scene)), no_bits(len(simulator.places)),
             good=np.array([no_bits(len(simulator.scene))] * len(rig.requirements), np.uint64))
         self._order = simulator.visibility.order
@@ -419,14 +420,6 @@ class Objective:
         gains = self._gains_by(by)
         return gains(*bits) if room is None else np.array(gains.of_room(room, *bits))
 
-    def room_shares(self, views: Sequence[View]) -> np.ndarray:
-        """Return the share that each room reaches of its goal's quantity: (R,)."""
-        goal = self.room_goal
-        possible = self.possible_gains
-        if possible is None:
-            possible = self.room_gains(goal.union, goal.by)
-        return shares_of(self.room_gains(views, goal.by), possible)
-
     def _met_shares(self, number: int, views: Sequence[View]) -> np.ndarray:
         """
         Return the shares of the points that meet a requirement with 1, 2, ... n cameras.
@@ -546,7 +539,7 @@ class Objective:
         total_error = error_of(self._seen(all_views))
         # The slice leaves out the empty view, which stands for no cameras at all.
         for k, view in enumerate(all_views[:len(views) + len(self.fixed)]):
-            others = [*all_views[:k], *all_views[k + 1:]] or [self._empty_view]
+            others = [*all_views[:k], *all_views[k + 1:]] or [self.empty_view]
             only = count_bits(view.seen & once & ~twice) / len(self.simulator.scene)
             reduction = error_of(self._seen(others)) - total_error
             contributions.append(Contribution(reduction, float(only)))
@@ -572,7 +565,7 @@ class Objective:
 
         They contain only what the simulator's evidence proves, if it has any.
         """
-        all_views = [*views, *self.fixed] or [self._empty_view]
+        all_views = [*views, *self.fixed] or [self.empty_view]
         evidence = self.simulator.evidence
         return all_views if evidence is None else [
             view._replace(seen=evidence.proved(view.seen, view.position)) for view in all_views]
