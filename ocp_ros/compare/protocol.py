@@ -39,7 +39,7 @@ from ocp_ros.scenes.scene_files import READERS, scans_in
 from ocp_ros.scenes.source_frame import BY_FILE, UP_CHOICES
 from ocp_ros.search.budget import Budget
 from ocp_ros.search.candidate_pool import CandidatePool
-from ocp_ros.search.plan import load_kernels, plan
+from ocp_ros.search.plan import plan, prepare_search
 from ocp_ros.search.registry import OBSERVED, planner_names, REFERENCES, RIG_SEARCH
 from ocp_ros.simulation.problem import Problem
 from ocp_ros.simulation.simulation_config import SimulationConfig
@@ -236,7 +236,7 @@ def run_task(protocol: Protocol, task: BenchmarkTask) -> list[dict[str, Any]]:
 
 def _run_planner(protocol: Protocol, problem: Problem, name: str) -> Iterator[Row]:
     """Plan with every budget and seed; for ``RAY_SEARCH``, use the default planner."""
-    load_kernels(name in planner_names(OBSERVED))
+    prepare_search(name in planner_names(OBSERVED))
     planner = RIG_SEARCH if name == RAY_SEARCH else name
     for budget, seed in protocol.runs(name):
         start_time = time.process_time()

@@ -53,6 +53,7 @@ from ocp_ros.ros.policy.turn_source import Commander, TurnSource
 from ocp_ros.ros.runtime.managed_node import ManagedNode, publish_diagnostics, Status
 from ocp_ros.ros.runtime.node_main import run
 from ocp_ros.scenes.scene import SceneError
+from ocp_ros.search.plan import load_kernels
 from ocp_ros.simulation.point_maps import PointMaps
 from ocp_ros.util.resources import find_model
 from ocp_ros.util.threads import set_threads
@@ -93,6 +94,8 @@ class PolicyNode(ManagedNode):
         path = None if self.config.needs_no_weights else find_model(self.config.model)
         self.decider = Decider(
             self.config, None if path is None else load_checkpoint(path), self.get_logger())
+        # Otherwise the first turns would wait for them.
+        load_kernels('lookahead' if path is None else 'learned')
         self._counts = {'turns_answered': 0, 'refused_messages': 0, 'weights_swapped': 0,
                         'weights_refused': 0}
         self._episode = 0

@@ -50,23 +50,29 @@ from ocp_ros.util.threads import return_freed_arrays
 _log = logging.getLogger(__name__)
 
 
-def load_kernels(online: bool = False) -> None:
+def prepare_search(online: bool = False) -> None:
     """
-    Load the compiled kernels of a search, so that this takes none of its time.
+    Load the kernels of a search, and return freed arrays from now on: a search needs large ones.
 
-    The process also returns freed arrays from now on, since a search needs many large ones.
-    Each planner plans once in a process in a tiny room; without cached kernels it compiles them.
-
-    :param online: whether those of online planners are loaded too.
+    :param online: whether kernels of online planners are loaded too.
     """
     return_freed_arrays()
+    load_kernels(RIG_SEARCH, 'random', *(('lookahead',) if online else ()))
+
+
+def load_kernels(*planners: str) -> None:
+    """
+    Load the compiled kernels of planners, so that this takes none of the time of an answer.
+
+    Each planner plans once in a process in a tiny room; without cached kernels it compiles them.
+    """
     notice = Timer(2.0, _log.warning, (
-        'compiling the kernels, once for this computer: about 30 s; the time of the search begins '
-        'after this',))
+        'compiling the kernels, once for this computer: about 30 s; the search begins after this',
+    ))
     notice.daemon = True
     notice.start()
     try:
-        for planner in (RIG_SEARCH, 'random', *(('lookahead',) if online else ())):
+        for planner in planners:
             _plan_in_a_tiny_room(planner)
     finally:
         notice.cancel()
@@ -77,7 +83,7 @@ def _plan_in_a_tiny_room(planner: str) -> None:
     """Run a planner once, which loads its kernels."""
     rig = rig_of(2, 'd455', mount={'on': 'plane', 'height': 1.9}, spacing=0.1)
     problem = Problem.of(generate_room(0, 600), rig, SimulationConfig(engine=PROMISING))
-    plan(problem, Budget(evaluations=4), planner)
+    plan(problem, Budget(evaluations=5), planner)
 
 
 def plan(problem: Problem, budget: Budget, planner: str = RIG_SEARCH,

@@ -26,7 +26,7 @@ from ocp_ros.scenes.scene import Scene
 from ocp_ros.search.budget import Budget, Progress
 from ocp_ros.search.candidate_pool import check_regions, pool_of, Sites, views_of
 from ocp_ros.search.floor_counts import FloorCounts, Placed
-from ocp_ros.search.plan import load_kernels, plan
+from ocp_ros.search.plan import plan, prepare_search
 from ocp_ros.search.pose_annealing import result_of_placement, SearchResult
 from ocp_ros.search.proof.certificate import Certificate
 from ocp_ros.search.registry import check_planner, OBSERVED, PLANNERS, RIG_SEARCH
@@ -129,7 +129,7 @@ class RigPlanner:
                  progress: Progress | None = None, planner: str = RIG_SEARCH,
                  model: str = DEFAULT_MODEL) -> None:
         check_planner(planner)
-        load_kernels(PLANNERS[planner].input_kind == OBSERVED)
+        prepare_search(PLANNERS[planner].input_kind == OBSERVED)
         self.planner = planner
         self.model = model
         self.scene = scene

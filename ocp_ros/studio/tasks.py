@@ -26,7 +26,7 @@ from ocp_ros.rig.placement_file import ANGLES
 from ocp_ros.rig.rig_file import Rig
 from ocp_ros.search.budget import Budget
 from ocp_ros.search.candidate_pool import check_regions, MountedCamera, pool_of
-from ocp_ros.search.plan import load_kernels, plan
+from ocp_ros.search.plan import plan, prepare_search
 from ocp_ros.search.proof.certificate import Certificate
 from ocp_ros.search.registry import RIG_SEARCH
 from ocp_ros.simulation.problem import Problem
@@ -107,7 +107,7 @@ def search_work(studio: Studio, state: State) -> Work:
         unlocked = [k for k, name in enumerate(state.names) if name not in state.locked]
         problem = studio.problem_of(_rig_of_unlocked(state, unlocked))
         yield Progress(0.0, 'loading the search')
-        load_kernels()
+        prepare_search()
         budget = task.budget.restarted()
         pool = pool_of(problem, budget)
         check_regions(problem.objective, pool)

@@ -260,7 +260,7 @@ def test_the_time_of_a_search_begins_when_the_kernels_are_loaded(furnished, few_
     def load(online):
         now[0] += 3600.0
 
-    monkeypatch.setattr('ocp_ros.search.rig_plan.load_kernels', load)
+    monkeypatch.setattr('ocp_ros.search.rig_plan.prepare_search', load)
     budget = Budget(seconds=60.0, evaluations=5, clock=lambda: now[0])
     plan = RigPlanner(furnished, rig, FAST, budget, planner='random').plan(rig)
     assert plan.answer.evaluations == 5 and plan.seconds == 0.0
