@@ -71,8 +71,8 @@ TABLES = [
      'clouds_per_s_of_a_camera turns_with_all_cameras cores memory_mb'),
     (RESULTS, '| area', '6 12 24', 'floors/floors/{row}/{key}',
      'rooms cameras seen least_seen_in_a_room gap seconds processor_s'),
-    (RESULTS, '| counted on', '5_rooms 17_rooms', 'floors/counted/floors/{row}/{key}', 'rooms cameras '
-     'at_least fewer_tried least_share_of_a_room seconds processor_s'),
+    (RESULTS, '| counted on', '5_rooms 17_rooms', 'floors/counted/floors/{row}/{key}',
+     'rooms cameras at_least fewer_tried least_share_of_a_room seconds processor_s'),
     (RESULTS, '| requirement',
      'recognise depth_15mm depth_4mm_incidence_75 two_from_30_degrees one_may_fail',
      'requirements/requirements/{row}/{key}',
