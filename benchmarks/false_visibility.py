@@ -17,7 +17,7 @@ How much of what cameras seem to see is blocked: pairs of a camera and a point.
 
 Rays at the mesh of generated rooms judge candidate poses of a D455, drawn by chance. Three rows:
 all views of the engine, those that a scan proves without a word on the scanner's stations, and
-with the stations.
+with its scans at their stations, as in E57 and PTX files.
 
     python -m benchmarks.false_visibility --record
 """
@@ -34,17 +34,29 @@ from ocp_ros.geometry.shadow_maps import in_reach
 from ocp_ros.rig.rig_file import rig_of
 from ocp_ros.rooms.generator import generate_room, stations_of
 from ocp_ros.scenes.meshes import MeshRays
-from ocp_ros.scenes.scene import Scene
+from ocp_ros.scenes.scene import Scan, Scene
 from ocp_ros.simulation.problem import Problem
 from ocp_ros.simulation.simulation_config import SimulationConfig
 
 MOUNTS = {'walls': {'on': 'walls'}, 'stands': {'on': 'plane', 'height': 1.6}}
-#: Points of a scan, poses of a room and mount, and metres by which a ray is blocked or ends.
-POINTS, POSES, BLOCKED_M, REACHED_M = 60_000, 20, 0.2, 0.03
-ROWS = ('all', 'proved', 'proved_known_stations')
+#: Points of a scan, poses of a room and mount, and metres by which a ray is blocked or ends, and
+#: within which a scanner measures a point.
+POINTS, POSES, BLOCKED_M, REACHED_M, SCANNED_M = 60_000, 20, 0.2, 0.03, 0.01
+ROWS = ('all', 'proved', 'proved_known_scans')
 
 
-def counts_of(scene: Scene, stations: np.ndarray, mount: str) -> np.ndarray:
+def scans_of(seed: int) -> Iterator[Scan]:
+    """Yield the scans of a generated room, of other points than those of the benchmark."""
+    room = generate_room(seed, 4 * POINTS)
+    rays = MeshRays(room.mesh)
+    for station in stations_of(seed):
+        offsets = room.points - station
+        lengths = np.linalg.norm(offsets, axis=1)
+        hits = rays.lengths(station, offsets / lengths[:, None])
+        yield Scan(station, room.points[hits > lengths - SCANNED_M])
+
+
+def counts_of(scene: Scene, scans: tuple[Scan, ...], mount: str) -> np.ndarray:
     """
     Count pairs in a room, for each of :data:`ROWS`.
 
@@ -52,7 +64,7 @@ def counts_of(scene: Scene, stations: np.ndarray, mount: str) -> np.ndarray:
     """
     rig = rig_of(1, 'realsense_d455', mount=MOUNTS[mount])
     problem = Problem.of(scene, rig, SimulationConfig(engine=PROMISING))
-    known = Problem.of(replace(scene, stations=stations), rig, problem.simulator.config)
+    known = Problem.of(replace(scene, scans=scans), rig, problem.simulator.config)
     evidences = [None, *(one.objective.validation.simulator.evidence for one in (problem, known))]
     poses = problem.region.candidates(rig.models[0], 3000)
     rays, order = MeshRays(scene.mesh), problem.simulator.visibility.order
@@ -76,10 +88,10 @@ def counts_of(scene: Scene, stations: np.ndarray, mount: str) -> np.ndarray:
 def rows_of(seeds: list[int]) -> Iterator[dict]:
     """Yield the false visibility and F1 of each room, mount and row."""
     for seed in seeds:
-        scene, stations = generate_room(seed, POINTS), stations_of(seed)
+        scene, scans = generate_room(seed, POINTS), tuple(scans_of(seed))
         for mount in MOUNTS:
             for name, (seen, blocked, right, visible) in zip(
-                    ROWS, counts_of(scene, stations, mount)):
+                    ROWS, counts_of(scene, scans, mount)):
                 yield {'room': seed, 'mount': mount, 'views': name,
                        'blocked': round(float(blocked / seen), 4),
                        'f1': round(float(2.0 * right / (seen + visible)), 4)}

@@ -25,7 +25,7 @@ import numpy as np
 from ocp_ros import __version__
 from ocp_ros.rooms.generator import generate_room
 from ocp_ros.scenes.building_files import Building
-from ocp_ros.scenes.scene import Mesh, Rooms, Scene, SceneError, turned
+from ocp_ros.scenes.scene import Mesh, Rooms, Scan, Scene, SceneError, turned
 from ocp_ros.scenes.scene_files import load_scene
 from ocp_ros.scenes.source_frame import BY_FILE, SourceFrame, UP_CHOICES
 from ocp_ros.util.files import cache_folder, sha256_of_file, write_atomically
@@ -38,7 +38,7 @@ ROOM_POINTS = 60_000
 #: The least size in bytes of a file whose scene is cached: smaller files are read as fast.
 MIN_CACHED_BYTES = 4_000_000
 #: The version of the cache format; raise it when reading a file gives another result.
-CACHE_VERSION = 5
+CACHE_VERSION = 6
 
 
 @dataclass(frozen=True)
@@ -172,7 +172,8 @@ def load_cached(path: str | Path, **options) -> Scene:
             scene = Scene(arrays['points'], str(arrays['name']), arrays.get('normals'), mesh,
                           source, notes=tuple(map(str, arrays['notes'])),
                           remarks=tuple(map(str, arrays['remarks'])), rooms=rooms,
-                          stations=arrays.get('stations'))
+                          scans=tuple(map(Scan, arrays['stations'], np.split(
+                              arrays['scan_points'], arrays['scan_ends'][:-1]))))
             return scene if 'survey_points' not in arrays else replace(scene, survey=replace(
                 scene, points=arrays['survey_points'], normals=arrays.get('survey_normals')))
     except (OSError, ValueError, KeyError, TypeError, EOFError, BadZipFile):
@@ -186,7 +187,11 @@ def _write_to_cache(path: Path, scene: Scene) -> None:
     """Write a scene to the cache atomically; ignore errors such as a full disk."""
     # The fields of ``source`` are scales, rotation and shift.
     arrays = {'name': np.array(scene.name), 'notes': np.array(scene.notes, dtype=str),
-              'remarks': np.array(scene.remarks, dtype=str), **vars(scene.source)}
+              'remarks': np.array(scene.remarks, dtype=str), **vars(scene.source),
+              'stations': np.array([scan.station for scan in scene.scans]),
+              'scan_points': np.concatenate([np.empty((0, 3)), *(
+                  scan.points for scan in scene.scans)]),
+              'scan_ends': np.cumsum([len(scan.points) for scan in scene.scans])}
     for prefix, part in (('', scene), ('survey_', scene.survey)):
         if part is not None:
             arrays[f'{prefix}points'] = part.points
@@ -195,8 +200,6 @@ def _write_to_cache(path: Path, scene: Scene) -> None:
     if scene.mesh is not None:
         arrays |= {'vertices': scene.mesh.vertices, 'triangles': scene.mesh.triangles,
                    'exact': np.array(scene.mesh.exact)}
-    if scene.stations is not None:
-        arrays['stations'] = scene.stations
     if scene.rooms is not None:
         # The plan of rooms that are read lies along the axes of the map.
         arrays |= {'rooms': scene.rooms.numbers, 'rooms_edge': np.array(scene.rooms.edge),

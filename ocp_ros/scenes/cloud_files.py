@@ -29,6 +29,7 @@ from xml.parsers import expat
 
 import numpy as np
 from ocp_ros.scenes.guarded_reading import read_guarded
+from ocp_ros.scenes.scene import Scan
 from ocp_ros.scenes.text_tables import read_table, TableFormat
 from ocp_ros.util.settings import need
 from ocp_ros.util.terminal_text import printable
@@ -308,13 +309,13 @@ def _unpack_lzf(packed: bytes, unpacked_bytes: int) -> bytes:
     return bytes(output)
 
 
-def read_e57_points(path: Path) -> np.ndarray:
+def read_e57_scans(path: Path) -> list[Scan]:
     """
     Read all scans of an E57 file, each at its pose in the file.
 
     The file is read in a separate process, since broken files may crash the library.
 
-    :returns: (N, 3) float64, in the file's unit, which is the metre by the standard.
+    :returns: the scans, float64, in the file's unit, which is the metre by the standard.
     :raises ValueError: if the file is broken.
     :raises ConfigurationError: if there is no pye57.
     """
@@ -332,22 +333,12 @@ def read_e57_points(path: Path) -> np.ndarray:
     _check_xml(_read_xml(path, xml_start, xml_bytes))
     need(path.name, 'pye57')
     # Real files pack a point in 6 bytes or more, so the file has fewer points than bytes.
-    return read_guarded('e57', path, 3, file_bytes)
-
-
-def e57_stations(path: Path) -> np.ndarray:
-    """Return where the scanner stood in each scan of an E57 file that says it: (T, 3)."""
-    with path.open('rb') as file:
-        _, xml_start, xml_bytes, _ = struct.unpack_from('<QQQQ', file.read(48), 16)
-    content = _read_xml(path, xml_start, xml_bytes)
-    # Pictures have poses too, after those of the scans.
-    scans = re.search(rb'<data3D\b.*?</data3D>', content, re.DOTALL)
-    places = re.findall(rb'<translation\b[^>]*>(.*?)</translation>', scans[0] if scans else b'',
-                        re.DOTALL)
-    # A coordinate without a text is 0.
-    return np.array([[float(found[1]) if (found := re.search(
-        rb'<%c\b[^>/]*>([^<]+)<' % axis, place)) else 0.0 for axis in b'xyz']
-        for place in places]).reshape(-1, 3)
+    rows = read_guarded('e57', path, 4, file_bytes)
+    if len(rows) == 0:
+        raise ValueError('no scan')
+    # The first row of each scan is its station; the last column is the number of the scan.
+    first = np.flatnonzero(np.diff(rows[:, 3], prepend=-1.0))
+    return [Scan(scan[0], scan[1:]) for scan in np.split(rows[:, :3], first[1:])]
 
 
 def _read_xml(path: Path, start: int, length: int) -> bytes:

@@ -14,16 +14,17 @@
 
 """File formats of rooms and their readers, by file name suffix."""
 
+from collections.abc import Callable
 from pathlib import Path
 import re
 from typing import NamedTuple
 
 import numpy as np
+from ocp_ros.geometry.clouds import thinned_to
 from ocp_ros.scenes.building_files import Building, MAP, read_map
 from ocp_ros.scenes.cloud_files import (
-    e57_stations,
     has_faces,
-    read_e57_points,
+    read_e57_scans,
     read_pcd_fields,
     read_ply_fields,
 )
@@ -31,8 +32,8 @@ from ocp_ros.scenes.guarded_reading import read_guarded
 from ocp_ros.scenes.las_files import FOOT, las_units, LengthUnit, METRE, read_las_points
 from ocp_ros.scenes.measured_room import ROOM, solids_of, triangles_of
 from ocp_ros.scenes.meshes import MESHES, read_mesh
-from ocp_ros.scenes.scene import SceneError
-from ocp_ros.scenes.text_tables import ptx_stations, read_points, read_ptx_points
+from ocp_ros.scenes.scene import Scan, SceneError
+from ocp_ros.scenes.text_tables import read_points, read_ptx_scans
 from ocp_ros.util.settings import need
 from ocp_ros.util.terminal_text import printable
 from ocp_ros.util.yaml_files import check, read_plain
@@ -131,7 +132,7 @@ class Declared(NamedTuple):
     :ivar remark: a description of the declared unit or axis, if it is not metres or z.
     :ivar solids: (S, 2, 3) two opposite corners of each solid box; None if the file declares none.
     :ivar note: a problem with the unit, if the file has one.
-    :ivar stations: (T, 3) where the scanner stood; None if the file does not say it.
+    :ivar scans: those that the file has, thinned.
     """
 
     metres: tuple[float, float, float] = (1.0, 1.0, 1.0)
@@ -139,11 +140,7 @@ class Declared(NamedTuple):
     remark: str = ''
     solids: np.ndarray | None = None
     note: str = ''
-    stations: np.ndarray | None = None
-
-
-#: What reads where the scanner stood.
-STATIONS = {'.ptx': ptx_stations, '.e57': e57_stations}
+    scans: tuple[Scan, ...] = ()
 
 
 def declared_by(path: Path) -> Declared:
@@ -151,9 +148,6 @@ def declared_by(path: Path) -> Declared:
     suffix = path.suffix.lower()
     if suffix in ('.glb', '.gltf'):
         return Declared(up='y', remark='up: y (glTF)')
-    if suffix in STATIONS:
-        stations = STATIONS[suffix](path)
-        return Declared(stations=stations if len(stations) else None)
     if suffix in ('.las', '.laz'):
         return _declared_units(*las_units(path))
     if suffix in ('.obj', '.off', '.ply', *TEXTS):
@@ -179,13 +173,15 @@ def _declared_units(plan: LengthUnit, height: LengthUnit) -> Declared:
                     remark=f'unit: {printable(names)}, as the file says')
 
 
-#: The reader of each suffix. A reader returns float64 points (N, 3), points and normals (N, 6), or
-#: triangle corners (T, 9), in the unit and the axes of the file.
-READERS = {'.las': read_las_points, '.laz': read_las_points, '.npy': _read_npy, '.pcd': _read_pcd,
-           '.ply': _read_ply, '.ptx': read_ptx_points, '.e57': read_e57_points,
-           **dict.fromkeys(TEXTS, read_points),
-           **dict.fromkeys(MESHES, read_mesh)}
+#: The reader of each suffix. A reader returns float64 points (N, 3), points and normals (N, 6),
+#: triangle corners (T, 9), or a list of scans, in the unit and the axes of the file.
+READERS: dict[str, Callable[[Path], np.ndarray | list[Scan]]] = {
+    '.las': read_las_points, '.laz': read_las_points, '.npy': _read_npy, '.pcd': _read_pcd,
+    '.ply': _read_ply, '.ptx': read_ptx_scans, '.e57': read_e57_scans,
+    **dict.fromkeys(TEXTS, read_points), **dict.fromkeys(MESHES, read_mesh)}
 SUFFIXES = (*READERS, *BUILDINGS, *MEASURED)
+#: The most points that all scans of a file keep to tell what each of them measured.
+SCAN_POINTS = 400_000
 
 
 def read_file(path: Path, building: Building, scale: float) -> tuple[np.ndarray, Declared]:
@@ -211,7 +207,13 @@ def read_file(path: Path, building: Building, scale: float) -> tuple[np.ndarray,
     kind, package = BUILDINGS.get(suffix, ('', ''))
     _check_building(path, kind, building)
     if not kind:
-        return READERS[suffix](path), declared_by(path)
+        found = READERS[suffix](path)
+        if not isinstance(found, list):
+            return found, declared_by(path)
+        finite = [scan.points[np.isfinite(scan.points).all(axis=1)] for scan in found]
+        return np.concatenate([scan.points for scan in found]), Declared(scans=tuple(
+            Scan(scan.station, thinned_to(points, SCAN_POINTS // len(found)))
+            for scan, points in zip(found, finite) if len(points)))
     need(path.name, package)
     arguments = {'dxf': (str(building.height), building.layers, str(scale)), 'usd': (),
                  'ifc': (building.storey, building.space, 'yes' if building.open_doors else '')}

@@ -85,12 +85,18 @@ def las_rows(path: str) -> Iterator[np.ndarray]:
 
 
 def e57_rows(path: str) -> Iterator[np.ndarray]:
-    """Yield the valid points (N, 3) of each scan of an E57 file, all in the frame of the file."""
+    """
+    Yield the station and the valid points of each scan of an E57 file as rows (1 + N, 4).
+
+    The columns are x, y and z in the frame of the file, and the number of the scan.
+    """
     from pye57 import E57
     with E57(path) as file:
         for index in range(file.scan_count):
             columns = file.read_scan(index, ignore_missing_fields=True)
-            yield np.stack([columns[f'cartesian{axis}'] for axis in 'XYZ'], axis=1)
+            points = np.stack([columns[f'cartesian{axis}'] for axis in 'XYZ'], axis=1)
+            rows = np.concatenate([file.get_header(index).translation[None], points])
+            yield np.insert(rows, 3, index, axis=1)
 
 
 def mesh_rows(path: str) -> Iterator[np.ndarray]:

@@ -16,6 +16,7 @@
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from ocp_ros.geometry.cameras import rotation_matrix
@@ -117,6 +118,18 @@ class Rooms:
         return replace(self, axes=rotation[:2, :2] @ self.axes)
 
 
+class Scan(NamedTuple):
+    """
+    A scan from one place.
+
+    :ivar station: (3,) metres, where the scanner stood.
+    :ivar points: (M, 3) metres, the points that it measured, perhaps thinned.
+    """
+
+    station: np.ndarray
+    points: np.ndarray
+
+
 @dataclass(frozen=True, eq=False)
 class Scene:
     """
@@ -132,7 +145,7 @@ class Scene:
     :ivar survey: the same room with the points that it was judged on, if they are others: an
         answer about the scan does not depend on how far it is thinned.
     :ivar rooms: the rooms of a floor; None for one room.
-    :ivar stations: (T, 3) metres, where the scanner stood; None if that is not known.
+    :ivar scans: of which the room was merged; empty if they are not known.
     :raises SceneError: if the points are not a room (see :func:`check_points`).
     """
 
@@ -145,7 +158,7 @@ class Scene:
     remarks: tuple[str, ...] = ()
     survey: 'Scene | None' = field(default=None, repr=False)
     rooms: Rooms | None = field(default=None, repr=False)
-    stations: np.ndarray | None = field(default=None, repr=False)
+    scans: tuple[Scan, ...] = field(default=(), repr=False)
 
     def __post_init__(self) -> None:
         """Convert the points to float32 in C order and refuse points that are not a room."""
@@ -236,7 +249,7 @@ def turned(scene: Scene, degrees: float) -> Scene:
                     scene.source.rotated(rotation), scene.notes, scene.remarks,
                     None if scene.survey is None else turned(scene.survey, degrees),
                     scene.rooms and scene.rooms.turned(rotation),
-                    None if scene.stations is None else scene.stations @ rotation.T)
+                    tuple(Scan(*(part @ rotation.T for part in scan)) for scan in scene.scans))
     # A rotation keeps distances, but distances of the rotated points would differ by rounding. So
     # the properties with distances are copied.
     rotated.__dict__.update((name, getattr(scene, name))

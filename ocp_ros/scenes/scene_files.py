@@ -45,7 +45,15 @@ from ocp_ros.scenes.inner_surface import inner_surface, without_outside
 from ocp_ros.scenes.main_room import main_room, without_views_outside
 from ocp_ros.scenes.measured_room import CORNERS, room_between
 from ocp_ros.scenes.meshes import MESH_SAMPLES, sample_faces
-from ocp_ros.scenes.scene import check_numbers, check_points, Mesh, MIN_POINTS, Scene, SceneError
+from ocp_ros.scenes.scene import (
+    check_numbers,
+    check_points,
+    Mesh,
+    MIN_POINTS,
+    Scan,
+    Scene,
+    SceneError,
+)
 from ocp_ros.scenes.source_frame import (
     AUTO,
     axis_of,
@@ -227,9 +235,9 @@ def _make_scene(rows: np.ndarray, name: str, scene_name: str, declared: Declared
                            np.hsplit(sample_faces(mesh.corners, max_samples), 2))
     # Points of a scan, or of a mesh without enclosed air: merge them.
     merged = _merge_points(points, voxel_size, max_points, name)
-    stations = None if declared.stations is None else source.to_map(declared.stations)
+    scans = tuple(Scan(*map(source.to_map, scan)) for scan in declared.scans)
     scene = Scene(merged, scene_name, normals if merged is points else None, mesh, source,
-                  stations=stations)
+                  scans=scans)
     if len(merged) < len(points):
         remarks += (f'{len(merged):,} of {len(points):,} points kept '
                     f'({"merged in voxels" if voxel_size else "--points"})',)

@@ -14,7 +14,6 @@
 
 """Text files of numbers, with errors that name the line."""
 
-from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from itertools import chain, islice, product
 from pathlib import Path
@@ -23,7 +22,7 @@ from typing import NamedTuple
 import warnings
 
 import numpy as np
-from ocp_ros.scenes.scene import SceneError
+from ocp_ros.scenes.scene import Scan, SceneError
 
 #: A number with a separator of thousands, such as ``3,659.7``, ``3.659,7`` or ``3'659``.
 THOUSANDS = re.compile(r"\d[,.]\d{3}[,.]\d|\d['\u2019]\d{3}(?!\d)")
@@ -94,9 +93,9 @@ def read_points(path: Path) -> np.ndarray:
     return points
 
 
-def read_ptx_points(path: Path) -> np.ndarray:
+def read_ptx_scans(path: Path) -> list[Scan]:
     """
-    Read the points of all scans in a PTX file, each moved by its pose: (N, 3) float64.
+    Read all scans in a PTX file, each moved by its pose; float64.
 
     A scan consists of its number of columns, its number of rows, the position and the axes of the
     scanner, a matrix (4, 4), and its points, of which 0 0 0 means no point. Row vectors x y z 1
@@ -119,23 +118,11 @@ def read_ptx_points(path: Path) -> np.ndarray:
             points = np.loadtxt(file, max_rows=count, usecols=(0, 1, 2), ndmin=2)
             if len(points) != count:
                 raise ValueError(f'{len(points):,} of {count:,} points')
-            scans.append(points[points.any(axis=1)] @ matrix[:3, :3] + matrix[3, :3])
+            scans.append(Scan(matrix[3, :3],
+                              points[points.any(axis=1)] @ matrix[:3, :3] + matrix[3, :3]))
     if not scans:
         raise ValueError('no scan')
-    return np.concatenate(scans)
-
-
-def ptx_stations(path: Path) -> np.ndarray:
-    """Return where the scanner stood in each scan of a PTX file: (T, 3), of a valid file."""
-    places = []
-    with path.open(encoding='latin-1') as file:
-        while (line := file.readline()).strip():
-            count = int(line) * int(file.readline())
-            np.loadtxt(file, max_rows=4, ndmin=2)
-            places.append(np.loadtxt(file, max_rows=4, ndmin=2)[3, :3])
-            # Skip the points.
-            deque(islice(file, count), maxlen=0)
-    return np.array(places)
+    return scans
 
 
 def read_table(path: Path, table_format: TableFormat) -> np.ndarray:

@@ -36,6 +36,7 @@ from ocp_ros.rig.structure import Air, floor_height
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.util.threads import mapped
 from scipy import ndimage
+from scipy.spatial import cKDTree
 
 #: Metres: the edge of a cell of space.
 CELL_M = 0.1
@@ -46,6 +47,8 @@ STATION_HEIGHT_M, STATION_SPACING_M = 1.5, 0.7
 #: The least share of all points that a further station has to add, and the largest share that no
 #: station sees if they are found.
 MIN_ADDED_SHARE, MAX_UNSEEN_SHARE = 0.005, 0.05
+#: Metres: less than the thickness of a board.
+OTHER_SIDE_M = 0.015
 #: Metres: the distance behind a surface at which there is air, or something that it stands at.
 BEHIND_M = 0.3
 #: The rules of the finer maps.
@@ -187,13 +190,15 @@ def _stations_of(scene: Scene, visibility: SurfelVisibility) -> tuple[np.ndarray
     Return the stations of a scan, (T, 3) metres, and which points each of them sees: (T, N) bool.
 
     Those of the file count if they see nearly all points; a file of merged scans has the origin as
-    its only station. Otherwise they are chosen one after the other, each of a grid of places that
-    sees most of the points that the others do not see.
+    its only station. Each of them sees the points that its scan has. Otherwise they are chosen one
+    after the other, each of a grid of places that sees most of the points that the others do not
+    see.
     """
-    if scene.stations is not None:
-        seen = np.stack(mapped(partial(_seen_from, scene, visibility), list(scene.stations)))
+    if scene.scans:
+        stations = np.array([scan.station for scan in scene.scans])
+        seen = np.stack(mapped(partial(_seen_from, scene, visibility), list(stations)))
         if np.mean(~seen.any(axis=0)) <= MAX_UNSEEN_SHARE:
-            return scene.stations, seen
+            return stations, _scanned_by(scene)[:, visibility.order]
     height = floor_height(scene) + STATION_HEIGHT_M
     cells = Air(scene, FreePlane.of(scene.points, height, 1, 0.0, clearance=0.3)).cells(height)
     # At most 400 places.
@@ -212,6 +217,12 @@ def _stations_of(scene: Scene, visibility: SurfelVisibility) -> tuple[np.ndarray
         chosen.append(best)
         left &= ~seen[best]
     return (places[chosen], seen[chosen]) if left.mean() <= MAX_UNSEEN_SHARE else none
+
+
+def _scanned_by(scene: Scene) -> np.ndarray:
+    """Return which points each scan has, (T, N) bool: about as near as those of any scan."""
+    distances = np.stack([cKDTree(scan.points).query(scene.points)[0] for scan in scene.scans])
+    return distances <= np.maximum(OTHER_SIDE_M, 1.5 * distances.min(axis=0))
 
 
 def _seen_from(scene: Scene, visibility: SurfelVisibility, place: np.ndarray) -> np.ndarray:

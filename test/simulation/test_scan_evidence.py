@@ -24,7 +24,7 @@ from ocp_ros.geometry.packed_bits import pack, unpack
 from ocp_ros.report.facts import region_rows
 from ocp_ros.report.findings import scores_of
 from ocp_ros.rig.rig_file import rig_of
-from ocp_ros.scenes.scene import rotation_matrix, Scene, turned
+from ocp_ros.scenes.scene import rotation_matrix, Scan, Scene, turned
 from ocp_ros.scenes.scene_files import load_scene
 from ocp_ros.simulation.problem import Problem
 import pytest
@@ -35,17 +35,28 @@ LOW, HIGH = np.array([2.8, 1.2, 0.0]), np.array([3.3, 2.8, 1.8])
 BEHIND = np.array([[5.2, 2.0, 1.6, np.pi, 0.0, 0.0]])
 
 
+def scanned(points, stations, low=LOW, high=HIGH):
+    """Return the room with the points that are visible from stations past a box."""
+    def is_visible(station):
+        ends = np.stack([low + 0.01 - station, high - 0.01 - station])[:, None] / (
+            points - station + 1e-9)
+        enter, leave = ends.min(axis=0).max(axis=1), ends.max(axis=0).min(axis=1)
+        return (enter > leave) | (enter > 1.0) | (leave < 0.0)
+    seen = [is_visible(station) for station in np.array(stations)]
+    return Scene(points[np.any(seen, axis=0)].astype(np.float32), 'cabinet', scans=tuple(
+        Scan(station, points[own]) for station, own in zip(np.array(stations), seen)))
+
+
 @pytest.fixture(scope='module', params=[0.0, 35.0])
 def scene(request):
     """Return a room with a cabinet, scanned from two stations."""
     cabinet = box_sides(HIGH - LOW, 0.5 * (LOW + HIGH), 0.04)
     is_back = (cabinet[:, 0] > HIGH[0] - 0.01) & (cabinet[:, 2] < HIGH[2] - 0.01)
     points = np.concatenate([box_sides((6.0, 4.0, 2.8), (3.0, 2.0, 1.4), 0.06), cabinet[~is_back]])
-    stations = np.array([[1.0, 1.0, 2.5], [1.0, 3.2, 2.5]])
     # Nor is the floor in the shadow of the cabinet scanned.
     is_shadow = (points[:, 0] > HIGH[0] + 0.01) & (abs(points[:, 1] - 2.0) < 1.2) & (
         points[:, 2] < 0.01)
-    made = Scene(points[~is_shadow].astype(np.float32), 'cabinet', stations=stations)
+    made = scanned(points[~is_shadow], [[1.0, 1.0, 2.5], [1.0, 3.2, 2.5]])
     return turned(made, request.param)
 
 
@@ -67,7 +78,7 @@ def test_what_stands_behind_an_unscanned_back_is_not_seen_through_it(scene):
     views = objective.look(placed(scene, BEHIND))
     seen = objective.evaluate_views(views).seen.mask
     proved = objective.validation.evaluate_views(views).seen.mask
-    back = turned(replace(scene, stations=None), -degrees_of(scene)).points.astype(float)
+    back = turned(replace(scene, scans=()), -degrees_of(scene)).points.astype(float)
     is_front = (abs(back[:, 0] - LOW[0]) < 0.01) & (abs(back[:, 1] - 2.0) < 0.7) & (
         abs(back[:, 2] - 0.9) < 0.8)
     assert seen[is_front].mean() > 0.5 and proved[is_front].mean() < 0.02
@@ -108,10 +119,10 @@ def test_a_region_says_how_much_of_its_surface_was_not_scanned(scene):
     assert found['unscanned'] == pytest.approx(back / (back + others), abs=0.05)
     assert f'{100 * found["unscanned"]:.1f} % of its surface or more was not scanned' in text
     # Scanned from all sides, it has no such back.
-    whole = turned(Scene(np.concatenate([
-        box_sides((6.0, 4.0, 2.8), (3.0, 2.0, 1.4), 0.06),
-        box_sides(size, 0.5 * (LOW + HIGH), 0.04)]).astype(np.float32), 'whole', stations=np.array(
-            [[1.0, 1.0, 2.5], [1.0, 3.2, 2.5], [5.0, 1.0, 1.5], [5.0, 3.0, 1.5]])), angle)
+    points = np.concatenate([box_sides((6.0, 4.0, 2.8), (3.0, 2.0, 1.4), 0.06),
+                             box_sides(size, 0.5 * (LOW + HIGH), 0.04)])
+    whole = turned(scanned(points, [[1.0, 1.0, 2.5], [1.0, 3.2, 2.5], [5.0, 1.0, 1.5],
+                                    [5.0, 3.0, 1.5]]), angle)
     found, text = found_in(whole)
     assert found['unscanned'] < 0.03 and 'not scanned' not in text
 
@@ -127,10 +138,27 @@ def replace_evidence(objective):
 
 
 def test_stations_are_found_if_the_file_does_not_say_them(scene):
-    evidence = Problem.of(replace(scene, stations=None), rig_of(1, 'omnidirectional')
+    evidence = Problem.of(replace(scene, scans=()), rig_of(1, 'omnidirectional')
                           ).objective.validation.simulator.evidence
     assert 1 <= len(evidence.stations) <= 6
     assert 0.3 < evidence.is_crossed.mean() < 0.95
+
+
+def test_scans_tell_the_two_sides_of_a_thin_board():
+    low, high = np.array([2.985, 1.0, 0.0]), np.array([3.015, 4.0, 2.8])
+    rng = np.random.default_rng(0)
+    board = rng.uniform(low, high, (800, 3))
+    board[:, 0] = np.where(rng.random(800) < 0.5, low[0], high[0])
+    points = np.concatenate([box_sides((6.0, 4.0, 2.8), (3.0, 2.0, 1.4), 0.12), board])
+    scene = scanned(points, [[1.0, 2.0, 1.5], [5.0, 2.0, 1.5]], low, high)
+    is_far = scene.points[:, 0] == high[0].astype(np.float32)
+
+    def far_share(scene):
+        objective = Problem.of(scene, rig_of(1, 'omnidirectional')).objective
+        views = objective.look(np.array([[1.5, 2.5, 1.0, 0.0, 0.0, 0.0]]))
+        return objective.validation.evaluate_views(views).seen.mask[is_far].mean()
+
+    assert far_share(scene) < 0.05 < 0.2 < far_share(replace(scene, scans=()))
 
 
 def test_rays_cross_cells_and_prove_views_as_a_slow_twin_says():
@@ -177,10 +205,12 @@ def test_ptx_and_e57_files_say_where_the_scanner_stood(tmp_path):
             '{:.4f} {:.4f} {:.4f} 0.5\n'.format(*point) for point in own)
     (tmp_path / 'room.ptx').write_text(text)
     scene = load_scene(tmp_path / 'room.ptx')
-    np.testing.assert_allclose(scene.stations, places)
+    np.testing.assert_allclose([scan.station for scan in scene.scans], places)
     evidence = Problem.of(scene, rig_of(1, 'omnidirectional')).objective.validation.simulator
     np.testing.assert_allclose(evidence.evidence.stations, places)
     pytest.importorskip('pye57')
     files.write_e57(tmp_path / 'room.e57', room, poses=[
         (1.0, 0.0, 0.0, 0.0, *place) for place in places])
-    np.testing.assert_allclose(load_scene(tmp_path / 'room.e57').stations, places)
+    scans = load_scene(tmp_path / 'room.e57').scans
+    np.testing.assert_allclose([scan.station for scan in scans], places)
+    assert [len(scan.points) for scan in scans] == 2 * [len(room) // 2]
