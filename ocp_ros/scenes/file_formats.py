@@ -29,7 +29,14 @@ from ocp_ros.scenes.cloud_files import (
     read_ply_fields,
 )
 from ocp_ros.scenes.guarded_reading import read_guarded
-from ocp_ros.scenes.las_files import FOOT, las_units, LengthUnit, METRE, read_las_points
+from ocp_ros.scenes.las_files import (
+    FOOT,
+    las_units,
+    LengthUnit,
+    METRE,
+    read_las_points,
+    SURVEY_FOOT,
+)
 from ocp_ros.scenes.measured_room import ROOM, solids_of, triangles_of
 from ocp_ros.scenes.meshes import MESHES, read_mesh
 from ocp_ros.scenes.scene import Scan, SceneError
@@ -53,24 +60,32 @@ COMMENT_UNITS = {
     'cm|centimet(?:er|re)s?': LengthUnit('centimetre', 0.01),
     'dm|decimet(?:er|re)s?': LengthUnit('decimetre', 0.1), 'm|met(?:er|re)s?': METRE,
     'in|inch(?:es)?': LengthUnit('inch', 0.0254), 'ft|foot|feet': FOOT,
+    r'(?:u\.?s\.?\s*)(?:survey\s*)?(?:ft|foot|feet)|ft_?us|sft|survey feet': SURVEY_FOOT,
     'yd|yards?': LengthUnit('yard', 0.9144)}
-#: A comment about the unit, such as ``# File units = inches`` or ``comment 1 unit = 10 mm``, or
-#: the name of a column with its unit, such as ``x [mm]``.
+#: One of these names; ``in`` may begin other words.
+UNIT_NAME = rf'(?P<unit>{"|".join(COMMENT_UNITS)})(?<!\bin(?=[^\S\n]+[a-z]))(?![a-z_])'
+#: A comment about the unit, such as ``# File units = inches`` or ``comment 1 unit = 10 mm``.
 COMMENT_ON_UNIT = re.compile(
-    r'^[^\S\n]*(?:(?:#|//|comment\b).*?\b(?:units?|dimensions|coordinates)\b[^\w\n]*'
-    r'(?:(?:of|length|are|is|in)[^\w\n]+)*(?P<number>(?:\d+(?:\.\d*)?|\.\d+)\s*)?'
-    r'|(?://\s*)?"?x[^\S\n]*[\[(])'
-    f'(?P<unit>{"|".join(COMMENT_UNITS)})\\b', re.IGNORECASE | re.MULTILINE)
+    r'^[^\S\n]*(?:#|//|comment\b).*?(?:\b(?:units?|dimensions|coordinates|measure(?:d|ments)|'
+    r'lengths?|values|exported)\b[^\w\n]*(?:(?:of|length|are|is|in|equals|scale)[^\w\n]+|'
+    r'1[^\S\n]*=[^\S\n]*)*(?P<number>(?:\d+(?:\.\d*)?|\.\d+)[^\S\n]*)?|\buses[^\S\n]+)'
+    + UNIT_NAME, re.IGNORECASE | re.MULTILINE)
+#: The name of a column with its unit, such as ``x [mm]``, ``x_mm`` or ``Easting (ft)``.
+COLUMN_WITH_UNIT = re.compile(
+    r'^(?:.*[^a-z\n])??(?:x|e|east(?:ings?)?|rechts(?:wert)?)"?(?:[^\S\n]*[\[(]|_)' + UNIT_NAME,
+    re.IGNORECASE | re.MULTILINE)
 #: Columns of a PLY file of Gaussian splats, as those of Kerbl et al. 2023.
-SPLAT_COLUMNS = (b' f_dc_0', b' opacity', b' scale_0')
+SPLAT_COLUMNS = (b' opacity', b' scale_0')
 
 
 def _rows_from_fields(fields: dict[str, np.ndarray], name: str) -> np.ndarray:
     """Return the points (N, 3), or points and normals (N, 6), from columns (N,) by name."""
     missing = [axis for axis in 'xyz' if axis not in fields]
     if missing:
+        remedy = ('export the splats without compression' if 'packed_position' in fields else
+                  'export the coordinates too')
         raise SceneError(f'{name}: found the fields {" ".join(fields) or "(none)"} and no '
-                         f'{" ".join(missing)}; expected x, y and z; export the coordinates too')
+                         f'{" ".join(missing)}; expected x, y and z; {remedy}')
     for axis in 'xyz':
         _check_rounding(np.ravel(fields[axis]), axis, name)
     name_sets = ('nx', 'ny', 'nz'), ('normal_x', 'normal_y', 'normal_z')
@@ -157,10 +172,12 @@ def declared_by(path: Path) -> Declared:
             return Declared(note='found a file of splats, which has no scale; expected metres; '
                                  'measure one length, and divide it by the length in the file '
                                  '(--scale)')
-        if found := COMMENT_ON_UNIT.search(head.decode('latin-1')):
+        text = head.decode('latin-1')
+        found = COMMENT_ON_UNIT.search(text)
+        factor = float(found['number'] or 1.0) if found else 1.0
+        if found := found or (COLUMN_WITH_UNIT.search(text) if suffix in TEXTS else None):
             unit = next(unit for pattern, unit in COMMENT_UNITS.items()
                         if re.fullmatch(pattern, found['unit'], re.IGNORECASE))
-            factor = float(found['number'] or 1.0)
             return _declared_units(*2 * [unit if factor == 1.0 else LengthUnit(
                 f'{factor:g} {unit.name}', factor * unit.metres)])
     return Declared()

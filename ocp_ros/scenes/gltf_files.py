@@ -171,7 +171,8 @@ def _accessor(document: dict[str, Any], data: list[bytes], number: int) -> np.nd
     elif 'sparse' in accessor:
         values = np.zeros((accessor['count'], width), NUMBER_TYPES[accessor['componentType']])
     else:
-        raise ValueError('positions that are in no buffer')
+        raise ValueError('positions that are in no buffer, but perhaps in one of the extensions '
+                         f'{" ".join(document.get("extensionsUsed", ()))[:120] or "(none)"}')
     if sparse := accessor.get('sparse'):
         values = values.copy()
         places = _view(document, data, sparse['indices'], sparse['count'], 1)[:, 0]

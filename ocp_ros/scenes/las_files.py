@@ -51,11 +51,11 @@ class LengthUnit(NamedTuple):
 
 METRE = LengthUnit('metre', 1.0)
 FOOT = LengthUnit('foot', 0.3048)
+SURVEY_FOOT = LengthUnit('US survey foot', 1200.0 / 3937.0)
 #: Units of length by their EPSG codes, which GeoTIFF keys use.
 EPSG_UNITS = {
     1025: LengthUnit('millimetre', 0.001), 1033: LengthUnit('centimetre', 0.01),
-    9001: METRE, 9002: FOOT, 9003: LengthUnit('US survey foot', 1200.0 / 3937.0),
-    9005: LengthUnit("Clarke's foot", 0.3047972654),
+    9001: METRE, 9002: FOOT, 9003: SURVEY_FOOT, 9005: LengthUnit("Clarke's foot", 0.3047972654),
     9041: LengthUnit('British foot', 0.3047994715386762),
     9080: LengthUnit('Indian foot', 0.30479951024814694),
     9095: LengthUnit('British foot', 0.3048007491), 9096: LengthUnit('yard', 0.9144)}
@@ -111,22 +111,13 @@ def las_units(path: Path) -> tuple[LengthUnit, LengthUnit]:
     :returns: the unit of x and y, and the unit of z; the metre if the file names no unit of x and
         y, or is broken; the unit of x and y if the file names no unit of z.
     """
-    plan = height = None
     with path.open('rb') as file:
-        for record_id, body in _projection_records(file):
-            # Record 2112 is the projection as text (WKT), record 34735 as GeoTIFF keys.
-            if record_id == 2112:
-                found = _units_of_wkt(body.decode('latin-1'))
-            elif record_id == 34735:
-                # Each key has four numbers of two bytes. With location 0 the last is its value.
-                keys = np.frombuffer(body[:len(body) // 8 * 8], '<u2').reshape(-1, 4).tolist()
-                found = _units_of_keys({key: value for key, location, _, value in keys
-                                        if location == 0})
-            else:
-                continue
-            plan, height = found[0] or plan, found[1] or height
-    plan = plan or METRE
-    return plan, height or plan
+        records = dict(_projection_records(file))
+    # Record 34735 is the projection as GeoTIFF keys, record 2112 as text (WKT).
+    by_keys = _units_of_keys(records)
+    by_text = _units_of_wkt(records.get(2112, b'').decode('latin-1'))
+    plan = by_text[0] or by_keys[0] or METRE
+    return plan, by_text[1] or by_keys[1] or plan
 
 
 def _projection_records(file: BinaryIO) -> Iterator[tuple[int, bytes]]:
@@ -161,24 +152,44 @@ def _units_of_wkt(text: str) -> tuple[LengthUnit | None, LengthUnit | None]:
     unit = re.compile(r'\b(?:LENGTH)?UNIT\s*[\[(]\s*"([^"]*)"\s*,\s*'
                       r'((?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?)\s*[,\])]', re.ASCII)
     angle_name = re.compile('deg|rad|gon|grad|arc|unity', re.IGNORECASE)
-    plan_text, *height_texts = re.split(r'\bVERT(?:_CS|CS|CRS|ICALCRS)\b', text, maxsplit=1)
+    # An axis that points up may have a unit of its own.
+    plan_text, *height_texts = re.split(r'\bVERT(?:_CS|CS|CRS|ICALCRS)\b|,\s*up\s*,', text,
+                                        maxsplit=1)
     found: list[LengthUnit | None] = []
     for part in (plan_text, ''.join(height_texts)):
-        units = [LengthUnit(name[:60], float(metres)) for name, metres in unit.findall(part)
-                 if not angle_name.search(name)]
+        # A system may be bound to another one, with units of its own.
+        units = [LengthUnit(name[:60], float(metres))
+                 for name, metres in unit.findall(part.partition('TARGETCRS')[0]) if not
+                 angle_name.search(name)]
         # The unit of a system stands after those of its parts. Units below a millimetre, or of a
         # kilometre or more, are not accepted.
         found.append(units[-1] if units and 1e-3 <= units[-1].metres < 1e3 else None)
     return found[0], found[1]
 
 
-def _units_of_keys(keys: Mapping[int, int]) -> tuple[LengthUnit | None, LengthUnit | None]:
+def _units_of_keys(records: Mapping[int, bytes]) -> tuple[LengthUnit | None, LengthUnit | None]:
     """Return the units of plan and height that GeoTIFF keys give, by themselves or by a system."""
-    # Keys 3076 and 4099 are the units, 3072 and 4096 the systems of plan and height.
-    plan, height = (
-        EPSG_UNITS.get(keys.get(unit_key, 0)) or _unit_of_system(keys.get(system_key, 0))
-        for unit_key, system_key in ((3076, 3072), (4099, 4096)))
-    return plan, height
+    # Each key has four numbers of two bytes: the key, where its value is, how many, and its value
+    # or its place there.
+    body = records.get(34735, b'')
+    rows = np.frombuffer(body[:len(body) // 8 * 8], '<u2').reshape(-1, 4).tolist()
+    keys = {key: value for key, location, _, value in rows if location == 0}
+    texts = {key: records.get(34737, b'')[value:value + count].decode('latin-1')
+             for key, location, count, value in rows if location == 34737}
+    found: list[LengthUnit | None] = []
+    # The keys of the unit, of the system, and of its name; first those of the plan.
+    for unit_key, system_key, name_key in ((3076, 3072, 3073), (4099, 4096, 4097)):
+        is_in_feet = re.search(r'\b(?:foot|feet|us-?ft|ft-?us|ft)\b', texts.get(name_key, ''),
+                               re.IGNORECASE)
+        found.append(EPSG_UNITS.get(keys.get(unit_key, 0))
+                     or _unit_of_system(keys.get(system_key, 0)) or (FOOT if is_in_feet else None))
+    # A unit that the file defines itself has its length, key 3077, among the numbers.
+    for key, location, _, value in rows:
+        if (key, location, keys.get(3076)) == (3077, 34736, 32767):
+            metres, = struct.unpack_from('<d', records.get(34736, b'').ljust(8 * value + 8, b'\0'),
+                                         8 * value)
+            found[0] = LengthUnit(f'{metres:g} m', metres) if 1e-3 <= metres < 1e3 else found[0]
+    return found[0], found[1]
 
 
 def _unit_of_system(code: int) -> LengthUnit | None:

@@ -72,9 +72,18 @@ from scipy.spatial import cKDTree
 
 #: The number of sample points on a mesh, to find its size, axes and stray parts.
 COARSE_SAMPLES = 60_000
-#: Suffixes of models that are no meshes, or of programs for models.
-MODELS = ('.3dm', '.3ds', '.blend', '.dae', '.dwg', '.fbx', '.iges', '.igs', '.rvt', '.skp',
-          '.sldprt', '.step', '.stp')
+#: What to do with files of other suffixes.
+OTHER_SUFFIXES = {
+    'export it as STL or glTF (.glb) from the program that made it':
+        '.3dm .3ds .3mf .blend .brep .c4d .catpart .catproduct .dae .dwg .f3d .fbx .fcstd .iges '
+        '.igs .ipt .jt .ma .max .nwd .prt .rvt .sat .skp .sldasm .sldprt .step .stp .wrl .x3d '
+        '.x_b .x_t',
+    'export it as E57 from the program of the scanner':
+        '.cl3 .clr .fls .fws .imp .lgs .lgsx .lsproj .pod .ptg .rcp .rcs .rdbx .zfs',
+    'export the splats as .ply, for example with SuperSplat': '.ksplat .sog .splat .spz',
+    'unpack it first': '.7z .bz2 .gz .rar .tar .tgz .xz .zip .zst',
+    'export the floor plan as .dxf, or measure the room': '.jpeg .jpg .pdf .png .tif .tiff'}
+
 #: The number of points on which a scan is judged, however many of them are asked for.
 SURVEY_POINTS = 60_000
 
@@ -420,9 +429,10 @@ def check_file(path: Path) -> None:
                          f'file, {hint}')
     if path.suffix.lower() not in SUFFIXES:
         similar = difflib.get_close_matches(path.suffix.lower(), suffixes, n=1)
-        hint = ('export it as STL or glTF (.glb) from the program that made it'
-                if path.suffix.lower() in MODELS else f'did you mean {similar[0]}?' if similar else
-                'convert it, for example with CloudCompare')
+        hint = next((remedy for remedy, others in OTHER_SUFFIXES.items()
+                     if path.suffix.lower() in others.split()),
+                    f'did you mean {similar[0]}?' if similar else
+                    'convert it, for example with CloudCompare')
         raise SceneError(f'{path.name}: found the suffix {path.suffix!r}; expected one of '
                          f'{" ".join(suffixes)}; {hint}')
     state = path.stat()

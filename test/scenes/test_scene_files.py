@@ -99,6 +99,14 @@ FORMATS = {
     'surveyor.csv': partial(write_table, separator=',', header='P,N,E,Z,D', axes='xyxzz'),
     'survey.csv': partial(write_table, separator=';', header='Point;Easting;Northing;Elevation',
                           axes='zxyz', decimal=','),
+    'german.csv': partial(write_table, separator=';', header='Pkt;Hoch;Rechts;Höhe;Code',
+                          axes='xyxzz', decimal=','),
+    'quoted.csv': lambda path, points: path.write_text(''.join(
+        '"{:.7f}","{:.7f}","{:.7f}"\n'.format(*row).replace('.', ',') for row in points.tolist())),
+    'exponents.txt': lambda path, points: path.write_text(''.join(
+        '{:.8e} {:.8e} {:.8e}\n'.format(*row).replace('.', ',') for row in points.tolist())),
+    'pandas.csv': lambda path, points: path.write_text(',0,1,2\n' + ''.join(
+        '{},{:.7f},{:.7f},{:.7f}\n'.format(k, *row) for k, row in enumerate(points.tolist()))),
     'late.csv': partial(write_table, separator=';', header='a;b;c;d;e;f;g;h;i;j;k;l;X;Y;Z',
                         axes=12 * 'z' + 'xyz', decimal=','),
     'two_scans.ptx': lambda path, points: path.write_text(
@@ -252,7 +260,11 @@ REFUSED = {
     'none.ply': (lambda path: None, 'no such file'),
     'room.pdc': (lambda path: files.write_text(path, ROOM), 'did you mean .pcd'),
     'room.step': (lambda path: files.write_text(path, ROOM), 'as STL or glTF'),
-    'room.rcp': (lambda path: files.write_text(path, ROOM), 'CloudCompare'),
+    'room.rcp': (lambda path: files.write_text(path, ROOM), 'as E57'),
+    'room.splat': (lambda path: files.write_text(path, ROOM), 'as .ply'),
+    'room.xyz.gz': (lambda path: files.write_text(path, ROOM), 'unpack'),
+    'room.vtk': (lambda path: files.write_text(path, ROOM), 'CloudCompare'),
+    'longitude.csv': (lambda path: write_table(path, ROOM, ',', 'lon,lat,alt'), 'degrees'),
     'room': (lambda path: files.write_text(path, ROOM), '.csv .dxf .e57 .glb'),
     'without coordinates.csv': (
         lambda path: write_table(path, ROOM, ',', 'range,azimuth,elevation'), 'azimuth'),
@@ -264,6 +276,18 @@ REFUSED = {
     'light.txt': (lambda path: write_columns(path, COLOURS / 255.0, ROOM), 'colours'),
     'millimetres.txt': (lambda path: write_columns(
         path, COLOURS, (1000.0 * ROOM).astype(int)), 'colours'),
+    'float colours.txt': (lambda path: write_columns(path, COLOURS, ROOM, form='.3f'),
+                          'columns 1 to 3, like colours'),
+    'colours and commas.txt': (lambda path: path.write_text(''.join(
+        '{} {} {} {:.3f} {:.3f} {:.3f}\n'.format(*row).replace('.', ',')
+        for row in np.hstack([COLOURS.astype(object), ROOM]))), 'colours'),
+    'four colours.txt': (lambda path: write_columns(path, COLOURS, NUMBERS * 0 + 255, ROOM),
+                         '1i r g b a x y z'),
+    'backwards.txt': (lambda path: write_columns(path, NUMBERS[::-1] / 1.0, ROOM, form='.3f'),
+                      'number of the point'),
+    'rings and times.csv': (lambda path: write_columns(
+        path, NUMBERS % 16, NUMBERS / 9e4, ROOM, separator=','), '1i a,b,x,y,z'),
+    'seconds.txt': (lambda path: write_columns(path, NUMBERS / 9e4, ROOM, form='.6f'), 'times'),
     'counted.txt': (lambda path: write_columns(path, NUMBERS, ROOM), 'number of the point'),
     'grid.csv': (lambda path: write_columns(
         path, NUMBERS // 50, NUMBERS % 50, ROOM, separator=','), 'columns 1 to 2'),
@@ -278,6 +302,25 @@ REFUSED = {
     'thousands.txt': (lambda path: write_columns(path, 1000.0 * ROOM, form=',.1f'), 'thousands'),
     'whole thousands.txt': (lambda path: write_columns(path, 1000.0 * ROOM, form=',.0f'),
                             'thousands'),
+    'thousands of points.txt': (lambda path: write_columns(
+        path, (1000.0 * ROOM).round().astype(int), form=',d'), 'thousands'),
+    'dots.txt': (lambda path: path.write_text(''.join('{:,.0f} {:,.0f} {:,.0f}\n'.format(
+        *row).replace(',', '.') for row in 1000.0 * ROOM)), 'thousands'),
+    'commas alone.csv': (lambda path: path.write_text(''.join('{:.2f},{:.2f},{:.2f}\n'.format(
+        *row).replace('.', ',') for row in ROOM)), 'with semicolons'),
+    'thousands and commas.csv': (lambda path: write_columns(
+        path, 1000.0 * ROOM, separator=',', form=',.1f'), 'thousands'),
+    'blanks in thousands.csv': (lambda path: path.write_text(''.join(
+        '{:,.1f};{:,.1f};{:,.1f}\n'.format(*row).replace(',', '\u202f').replace('.', ',')
+        for row in 1000.0 * ROOM), encoding='utf-8'), 'thousands'),
+    'tabs and no number.txt': (lambda path: path.write_text(''.join(
+        '{:.3f}\t{:.3f}\t{}\t12\n'.format(*row[:2], row[2] if k % 20 else '')
+        for k, row in enumerate(ROOM.tolist()))), 'of the next'),
+    'longer lines.txt': (lambda path: path.write_text(''.join(
+        f'{k % 4} ' * (k % 3 == 0) + '{:.3f} {:.3f} {:.3f}\n'.format(*row)
+        for k, row in enumerate(ROOM.tolist()))), 'lines of 3 and of 4'),
+    'keys.txt': (lambda path: path.write_text(''.join(
+        'x={:.3f} y={:.3f} z={:.3f}\n'.format(*row) for row in ROOM.tolist())), 'numbers alone'),
     'ragged.txt': (lambda path: path.write_text('1 2 3 4\n1 2\n1 2 3\n' * 50), '49 of the next'),
     'comments alone.xyz': (lambda path: path.write_text('# only\n\n# comments\n'), 'no points'),
     'strips.ply': (lambda path: path.write_text(
@@ -337,7 +380,29 @@ def geo_keys(*keys):
     return 34735, np.array(rows, dtype='<u2').tobytes()
 
 
+def own_unit(metres):
+    """Return records of a unit that the file defines itself, with its length in metres."""
+    rows = [(1, 1, 0, 2), (3076, 0, 1, 32767), (3077, 34736, 1, 0)]
+    return ((34735, np.array(rows, dtype='<u2').tobytes()), (34736, np.array([metres]).tobytes()))
+
+
+def named_heights(name):
+    """Return records of a system of heights that has only a name."""
+    rows = [(1, 1, 0, 2), (3076, 0, 1, 9001), (4097, 34737, len(name), 0)]
+    return (34735, np.array(rows, dtype='<u2').tobytes()), (34737, name.encode())
+
+
+#: A system in feet that is bound to one in metres, as text.
+BOUND = ('BOUNDCRS[SOURCECRS[PROJCRS["p",CS[Cartesian,2],LENGTHUNIT["foot",0.3048]]],TARGETCRS['
+         'GEOGCRS["g",DATUM["d",ELLIPSOID["e",6378137,298.257,LENGTHUNIT["metre",1]]]]]]')
+
+
 @pytest.mark.parametrize(('record', 'plan_m', 'height_m', 'words'), [
+    (own_unit(0.3048), 0.3048, 0.3048, 'unit: 0.3048 m,'),
+    (named_heights('NAVD88 - Geoid12B (Feet)|'), 1.0, 0.3048, 'metre in plan, foot in height'),
+    ((2112, BOUND.encode()), 0.3048, 0.3048, 'unit: foot,'),
+    ((2112, b'ENGCRS["site",CS[Cartesian,3],AXIS["x",east,LENGTHUNIT["metre",1]],'
+      b'AXIS["z",up,LENGTHUNIT["foot",0.3048]]]'), 1.0, 0.3048, 'metre in plan, foot in height'),
     (geo_keys((3076, 9001), (4099, 9003)), 1.0, 0.3048, 'metre in plan, US survey foot in height'),
     (geo_keys((3076, 9002), (4099, 9001)), 0.3048, 1.0, 'foot in plan, metre in height'),
     (geo_keys((3072, 2263), (4096, 5703)), 0.3048, 1.0, 'foot in plan, metre in height'),
@@ -355,7 +420,8 @@ def test_las_may_measure_heights_in_another_unit_than_the_plan(
     source = ROOM / [plan_m, plan_m, height_m] + corner
     files.write_las(path, source, offsets=corner)
     content = laspy.read(path)
-    content.header.vlrs.append(laspy.VLR('LASF_Projection', record[0], '', record[1]))
+    for number, body in record if isinstance(record[0], tuple) else (record,):
+        content.header.vlrs.append(laspy.VLR('LASF_Projection', number, '', body))
     content.write(path)
     scene = load_scene(path)
     np.testing.assert_allclose(scene.size, np.ptp(ROOM, axis=0), rtol=1e-4)
@@ -374,7 +440,9 @@ def test_vertices_without_faces_are_points(tmp_path):
 @pytest.mark.parametrize(('comment', 'metres'), [
     ('# Exported by a program\n# File units = inches', 0.0254), ('# Units: Millimeters', 0.001),
     ('# 1 unit = 1 cm', 0.01), ('#unit 0.5 ft', 0.1524), ('# all dimensions in mm.', 0.001),
-    ('# a unit of furniture, 3 m', 1.0)])
+    ('# a unit of furniture, 3 m', 1.0), ('# exported in a hurry, 1/10 mm', 1.0),
+    ('# This file uses centimeters as units', 0.01), ('# Units: US survey feet', 1200.0 / 3937.0),
+    ('# measured in feet', 0.3048), ('# 1 unit equals 1 mm', 0.001)])
 @pytest.mark.parametrize(('name', 'line'), [('a.obj', 'v {:.6f} {:.6f} {:.6f}\n'),
                                             ('a.xyz', '{:.6f} {:.6f} {:.6f}\n')])
 def test_a_unit_in_a_comment_is_the_unit_of_the_file(tmp_path, name, line, comment, metres):
@@ -384,6 +452,15 @@ def test_a_unit_in_a_comment_is_the_unit_of_the_file(tmp_path, name, line, comme
     np.testing.assert_allclose(scene.size, np.ptp(ROOM, axis=0), atol=1e-4)
     assert any('unit' in remark for remark in scene.remarks) == (metres != 1.0)
     assert not load_scene(path, scale=metres).remarks
+
+
+@pytest.mark.parametrize(('header', 'metres'), [
+    ('Easting (ft);Northing (ft);Elevation (ft)', 0.3048), ('x_mm;y_mm;z_mm', 0.001),
+    ('"X [cm]";"Y [cm]";"Z [cm]"', 0.01), ('x_in_map;y_in_map;z_in_map', 1.0)])
+def test_a_unit_in_the_name_of_a_column_is_the_unit_of_the_file(tmp_path, header, metres):
+    write_table(tmp_path / 'a.csv', ROOM / metres, ';', header)
+    scene = load_scene(tmp_path / 'a.csv')
+    np.testing.assert_allclose(scene.size, np.ptp(ROOM, axis=0), atol=1e-4)
 
 
 def test_splats_are_warned_of_unless_their_scale_is_given(tmp_path):
