@@ -119,37 +119,60 @@ ZONE = {'box': many('the lowest and the highest corner, metres, map frame', arra
                        2, 2)}
 #: What to do about keys that other programs have.
 MODEL_REMEDIES = {
-    **dict.fromkeys(('hfov', 'h_fov', 'fov_h', 'fov_horizontal'), "write 'horizontal_fov'"),
-    **dict.fromkeys(('vfov', 'v_fov', 'fov_v', 'fov_vertical'), "write 'vertical_fov'"),
-    **dict.fromkeys(('fov', 'dfov', 'diagonal_fov', 'angle'),
-                    "write 'horizontal_fov' and 'vertical_fov'"),
-    **dict.fromkeys(('range', 'distance'), "write 'max_range'"),
+    **dict.fromkeys(('hfov', 'h_fov', 'fov_h', 'fov_horizontal', 'fov_x', 'fovx', 'hfov_deg'),
+                    "write 'horizontal_fov'"),
+    **dict.fromkeys(('vfov', 'v_fov', 'fov_v', 'fov_vertical', 'fov_y', 'fovy', 'vfov_deg'),
+                    "write 'vertical_fov'"),
+    **dict.fromkeys(('fov', 'dfov', 'diagonal_fov', 'angle', 'field_of_view', 'angle_of_view',
+                     'aov', 'fov_deg'), "write 'horizontal_fov' and 'vertical_fov'"),
+    **dict.fromkeys(('fx', 'fy', 'cx', 'cy', 'intrinsics'),
+                    "write 'horizontal_fov' and 'vertical_fov', which are 2 atan(width / (2 fx)) "
+                    'and 2 atan(height / (2 fy)) in degrees'),
+    **dict.fromkeys(('width', 'pixels'), "write 'resolution: [640, 480]'"),
+    **dict.fromkeys(('range', 'distance', 'far'), "write 'max_range'"),
+    'near': "write 'min_range'",
     **dict.fromkeys(('model', 'type', 'camera'), "write 'sensor'")}
+#: What to do about other words for a pose.
+POSE_REMEDIES = {
+    **dict.fromkeys(('pose', 'x', 'y', 'z', 'xyz', 'location', 'place', 'translation'),
+                    "write 'position: [x, y, z]', and yaw, pitch and roll in degrees"),
+    **dict.fromkeys(('pan', 'heading', 'azimuth', 'rotation', 'orientation'), "write 'yaw'"),
+    'tilt': "write 'pitch'"}
+WALL_REMEDIES = dict.fromkeys(
+    ('wall', 'walls', 'side', 'surface', 'which', 'only', 'zone', 'box', 'polygon'),
+    "write 'keep_in' beside cameras, with a box along the wall: "
+    'keep_in: [{box: [[0, 0, 0], [6, 0.3, 3]]}]') | dict.fromkeys(
+        ('exclude', 'not', 'except'), "write 'keep_out' beside cameras, with a box along the wall")
 CAMERA: Schema = mapping(
     'a sensor, or horizontal_fov, vertical_fov and max_range',
     {'sensor': 'realsense_d455', 'count': 3}, (), **MODEL, name=NAME, **{
         **DEVICE, 'serial': {'description': 'a serial number in quotes, or a list of one for each '
                              'camera of the group', 'anyOf': [SERIAL, array(SERIAL, 1, 64)],
-                             'examples': ['034422073314']}},
+                             'examples': ['034422073314'],
+                             'remedies': {'int': "put it in quotes: serial: '034422073314'"}}},
     price=number('the price of one camera, 0 or more', 419.0, minimum=0, maximum=1e6),
     count=whole('a whole number from 1 to 64', 3, minimum=1, maximum=64) | {'remedies': {
-        'auto': 'leave it out, and choose the number by ocp plan --cameras auto'}}) | {
-    'remedies': MODEL_REMEDIES | {
-        **dict.fromkeys(('mount', 'on', 'height'), "write one 'mount' beside cameras: all groups "
-                        'have it; plan groups with other mounts one after the other, with the '
-                        "first ones as 'fixed'"),
-        **dict.fromkeys(('position', 'x', 'y', 'z', 'yaw'), 'write a camera with a pose under '
-                        "'fixed', or all of them in a placement file for ocp score"),
+        '0': 'leave out the entry', **dict.fromkeys(
+            ('str', 'list', 'NoneType', 'dict'), 'write a number, or leave it out and choose the '
+            'number by ocp plan --cameras auto')}}) | {
+    'remedies': MODEL_REMEDIES | WALL_REMEDIES | {
+        **dict.fromkeys(('mount', 'on', 'height', 'heights', 'ceiling', 'footprint'),
+                        "write one 'mount' beside cameras: all groups have it; plan groups with "
+                        "other mounts one after the other, with the first ones as 'fixed'"),
+        **dict.fromkeys(('position', 'yaw', 'fixed', *POSE_REMEDIES), 'write a camera with a pose '
+                        "under 'fixed', or all of them in a placement file for ocp score"),
         **dict.fromkeys(('pitch', 'roll'), 'write it beside cameras, for all groups'),
+        **dict.fromkeys(('max_count', 'most'), 'leave it out, and choose the number by ocp plan '
+                        '--cameras auto --most 5'),
         **dict.fromkeys(('number', 'amount', 'n', 'quantity'), "write 'count'")}}
 FIXED = mapping(
     'a camera and its position', {'sensor': 'kinect_v2', 'position': [1.0, 2.0, 2.2], 'yaw': 90},
     ('position',), **MODEL, **ANGLES, position=POSITION, name=NAME, **DEVICE) | {
-    'remedies': MODEL_REMEDIES | {'count': 'write an entry with its pose for each camera'}}
-WALL_REMEDIES = dict.fromkeys(
-    ('wall', 'walls', 'side', 'surface'), "write 'keep_in' beside cameras, with a box along the "
-    'wall: keep_in: [{box: [[0, 0, 0], [6, 0.3, 3]]}]')
-KEEP_OUT = mapping('a box or a polygon', {'box': [[0, 0, 0], [1, 1, 3]]}, (), **ZONE)
+    'remedies': MODEL_REMEDIES | POSE_REMEDIES | {
+        'count': 'write an entry with its pose for each camera'}}
+KEEP_OUT = mapping('a box or a polygon', {'box': [[0, 0, 0], [1, 1, 3]]}, (), **ZONE) | {
+    'remedies': dict.fromkeys(('wall', 'walls', 'side', 'name'), 'write a box along the wall: '
+                              'box: [[0, 0, 0], [6, 0.3, 3]]')}
 REGION = mapping(
     'a name with a box or a polygon', {'name': 'table', 'box': [[1, 1, 0.5], [2, 2, 1.2]]},
     ('name',), name=NAME, **ZONE,
@@ -158,32 +181,46 @@ REGION = mapping(
         around=BOOLEAN,
         seen_by=whole('a whole number of cameras, 1 or more', 2, minimum=1, maximum=64),
         angle=number('degrees, 0 to 120', 30.0, minimum=0, maximum=120)) | {
-            'remedies': dict.fromkeys(('true', 'null'), 'write air: {}')},
+            'remedies': dict.fromkeys(('bool', 'NoneType', 'str', 'list'), 'write air: {}') | {
+                'int': 'write air: {seen_by: 2}'}},
     weight=number('a number from 0 to 1000, the whole room being 1', 3.0, minimum=0,
                   maximum=1000),
     must_see={'description': 'true, false or the share that has to be seen, above 0, at most 1',
               'anyOf': [{'type': 'boolean'},
                         {'type': 'number', 'exclusiveMinimum': 0, 'maximum': 1}],
               'examples': [True]}, require=REQUIRE) | {
-    'remedies': dict.fromkeys(('volume', 'space', 'empty'), 'write air: {}')}
+    'remedies': dict.fromkeys(
+        ('volume', 'space', 'empty', 'in_air', 'is_air', 'free_space', 'free', 'kind', 'type',
+         'of', 'what', 'points', 'air_seen_by'), 'write air: {} for a region of air') | {
+             **dict.fromkeys(('seen_by', 'angle', 'around'), "write it under 'air' or 'require'"),
+             **dict.fromkeys(('pixel_density', 'depth_accuracy', 'incidence', 'share'),
+                             "write it under 'require'")}}
+NO_CAMERAS = ('write the cameras to be placed, such as cameras: [{sensor: realsense_d455}], or '
+              'score those that hang already as the cameras of a placement file (ocp score)')
 RIG = mapping(
     'a rig with the key cameras', {'cameras': [{'sensor': 'realsense_d455', 'count': 3}]},
     ('cameras',),
     cameras=many('a list of one camera or more', CAMERA, [{'sensor': 'realsense_d455'}], 1) | {
         'remedies': {
-            '[]': 'write the cameras to be placed, such as cameras: [{sensor: realsense_d455}], '
-                  'or score those that hang already as the cameras of a placement file (ocp '
-                  'score)',
+            **dict.fromkeys(('[]', '{}', 'null', 'none', '0'), NO_CAMERAS),
             'auto': 'write a sensor, and choose the number by ocp plan --cameras auto'}},
     fixed=many('a list of cameras that stay where they are', FIXED,
                [{'sensor': 'kinect_v2', 'position': [1.0, 2.0, 2.2]}]),
     mount=mapping(
         'a mapping with the key on', {'on': 'plane', 'height': 1.9}, ('on',),
-        on=one_of(MOUNTS, 'plane'),
+        on=one_of(MOUNTS, 'plane') | {'remedies': {
+            **dict.fromkeys(('tripod', 'tripods', 'stand', 'floor', 'pole', 'poles', 'table'),
+                            'write on: plane, with the height of the cameras'),
+            **dict.fromkeys(('rail', 'rails', 'truss', 'rod', 'rods', 'beam', 'frame', 'edge'),
+                            "write on: free, with heights, and 'keep_in' along it"),
+            **dict.fromkeys(('roof', 'top'), 'write on: ceiling'),
+            'list': 'write one of them; on: free allows all places between two heights'}},
         height=one_or_two('metres above the floor, for walls and free one number or [low, high]',
                           1.9, 0.0, 100.0),
         footprint=number('metres, 0 to 5', 0.4, minimum=0, maximum=5)) | {
-            'remedies': WALL_REMEDIES},
+            'remedies': WALL_REMEDIES | {on: f'write mount: {{on: {on}}}' for on in MOUNTS} | {
+                'list': 'write one mount; plan groups with other mounts one after the other, with '
+                        "the first ones as 'fixed'"}},
     motion=mapping(
         'a mapping with max_step, max_turn or turns', {'max_step': 1.5, 'max_turn': 90}, (),
         max_step=number('metres from 0.001 to 10', 1.5, minimum=0.001, maximum=10),
@@ -207,7 +244,14 @@ RIG = mapping(
         'a mapping with overlap, angle or neither', {'overlap': 0.2, 'angle': 60}, (),
         overlap=number('a share above 0, at most 1', 0.2, exclusiveMinimum=0, maximum=1),
         angle=number('degrees above 0, at most 180', 60.0, exclusiveMinimum=0, maximum=180))) | {
-    'remedies': WALL_REMEDIES}
+    'remedies': WALL_REMEDIES | {
+        **dict.fromkeys(('height', 'heights', 'on', 'ceiling', 'mounts', 'footprint'),
+                        "write it under 'mount', such as mount: {on: plane, height: 1.9}"),
+        **dict.fromkeys(('sensor', 'sensors', 'count', 'number', 'name', 'resolution',
+                         'horizontal_fov', 'vertical_fov', 'max_range', 'min_range', 'hfov',
+                         'vfov', 'fov'), "write it in an entry of 'cameras', such as "
+                        'cameras: [{sensor: realsense_d455, count: 3}]'),
+        **dict.fromkeys(('zone', 'zones', 'areas', 'targets'), "write 'regions'")}}
 PLACED = mapping(
     'a camera and its position', {'sensor': 'kinect_v2', 'position': [1.0, 2.0, 2.2], 'yaw': 90},
     ('position',), name=NAME, **MODEL, **DEVICE, position=POSITION, **ANGLES,
@@ -215,7 +259,7 @@ PLACED = mapping(
            'examples': ['plane']},
     planned=mapping('where the camera was planned, if it was found to hang elsewhere',
                     {'position': [1.0, 2.0, 2.2], 'yaw': 90}, ('position',), position=POSITION,
-                    **ANGLES)) | {'remedies': MODEL_REMEDIES}
+                    **ANGLES)) | {'remedies': MODEL_REMEDIES | POSE_REMEDIES}
 ROOM = mapping(
     'a mapping with the key file or seed', {'file': 'room.ply'}, (),
     file=text('the path of a scan', 'room.ply'),

@@ -287,7 +287,8 @@ def check(document: Document, schema: dict[str, Any]) -> None:
 
     The messages use texts of the schema: ``description`` says what is expected, and ``examples``
     what to write. Each is taken from the innermost subschema around the error that has it.
-    ``remedies`` says what to do about an unknown key or about a value, by this key or value.
+    ``remedies`` says what to do about an unknown key or about a value, by this key or value, or
+    by the type of the value. An unknown key that the whole file knows belongs there.
 
     :param document: the data.
     :param schema: JSON Schema 2020-12 without references.
@@ -321,6 +322,8 @@ def _error_from_schema(document: Document, schema: dict[str, Any], error: Valida
         return document.error(key_path, f'the unknown key {describe(key_path[-1])}',
                               'one of ' + ', '.join(known_keys),
                               remedies.get(str(key_path[-1]).lower())
+                              or (key_path[-1] in schema['properties'] and len(key_path) > 1
+                                  and f"write it beside '{key_path[0]}'")
                               or nearest(key_path[-1], known_keys, 'remove it'))
     if error.validator == 'required':
         key = next(key for key in error.validator_value if key not in error.instance)
@@ -337,7 +340,8 @@ def _error_from_schema(document: Document, schema: dict[str, Any], error: Valida
     if error.validator == 'enum' and isinstance(error.instance, str):
         remedy = nearest(error.instance, error.validator_value, remedy)
     return document.error(key_path, describe(error.instance), expected,
-                          remedies.get(shown(error.instance).lower(), remedy))
+                          remedies.get(shown(error.instance).lower())
+                          or remedies.get(type(error.instance).__name__, remedy))
 
 
 def _expected_and_remedy(schema: dict[str, Any], error: ValidationError) -> tuple[str, str]:

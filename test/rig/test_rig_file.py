@@ -209,6 +209,19 @@ BAD = [
     (RIG[:RIG.index('fixed')], '', 'line 1', 'ocp score'),
     (RIG[:RIG.index('fixed')], 'cameras: []\n', 'line 1', 'ocp score'),
     ('weight: 3.0', 'air: true', 'line 15, regions[0].air', 'air: {}'),
+    ('weight: 3.0', 'air: free', 'line 15, regions[0].air', 'air: {}'),
+    ('weight: 3.0', 'kind: air', 'line 15, regions[0].kind', 'air: {}'),
+    ('spacing: 0.5', 'height: 2', 'line 10, height', 'mount: {'),
+    ('spacing: 0.5', 'count: auto', 'line 10, count', "'cameras'"),
+    ('on: walls', 'on: [walls, ceiling]', 'line 7, mount.on', 'on: free'),
+    ('on: walls', 'on: walls, exclude: A', 'line 7, mount.exclude', 'keep_out'),
+    ('count: 3', 'count: 1-5', 'line 2, cameras[0].count', '--cameras auto'),
+    ('count: 3', 'keep_clear: 0.3', 'line 2, cameras[0].keep_clear', "beside 'cameras'"),
+    ('count: 3', 'serial: 034422073314', 'line 2, cameras[0].serial', "serial: '034422073314'"),
+    ('position:', 'xyz:', 'line 6, fixed[0].xyz', "'position: "),
+    ('horizontal_fov', 'fovx', 'line 3, cameras[1].fovx', "'horizontal_fov'"),
+    (RIG[:RIG.index('fixed')], 'cameras: {}\n', 'line 1', 'ocp score'),
+    ('mount: {on: walls', 'mount: walls #', 'line 7, mount', 'mount: {on: walls}'),
 ]
 
 
