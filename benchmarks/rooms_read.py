@@ -29,12 +29,14 @@ import json
 import logging
 from pathlib import Path
 import re
+import struct
 from tempfile import TemporaryDirectory
 import time
 from typing import NamedTuple
 import warnings
 
 from benchmarks import results
+import laspy
 import numpy as np
 from ocp_ros.geometry.cameras import rotation_matrix
 from ocp_ros.report.room_facts import facts_of
@@ -248,12 +250,13 @@ def view_through_a_window(rng: np.random.Generator, folder: Path) -> Verdict:
 def glass_partition(rng: np.random.Generator, folder: Path) -> Verdict:
     """Judge a room with a glass wall, which a scan hardly shows, and another room behind it."""
     x, y, z = size = rng.uniform((4.5, 4, 2.5), (8, 6, 3))
-    behind = rng.uniform(3, 5)
-    parts = [*shell(size, west=[(0, 1, 0, 1)]), *furniture(rng, size)]
+    style = rng.choice(['bare', 'frame', 'dirt', 'parapet', 'corridor'])
+    behind = rng.uniform(1.4, 2.2) if style == 'corridor' else rng.uniform(3, 5)
+    parapet = rng.uniform(0.8, 1.1) / z if style == 'parapet' else 0.0
+    parts = [*shell(size, west=[(0, 1, parapet, 1)]), *furniture(rng, size)]
     beyond = [part - np.array([behind, 0, 0])
               for part in [*shell((behind, y, z), east=[(0, 1, 0, 1)]),
-                           *furniture(rng, (behind - 0.3, y, z), 3)]]
-    style = rng.choice(['bare', 'frame', 'dirt'])
+                           *(furniture(rng, (behind - 0.3, y, z), 3) if behind > 2.5 else [])]]
     if style == 'frame':
         posts = np.linspace(0.0, y - 0.06, 2 + int(y / rng.uniform(0.9, 1.6)))
         parts += [box((-0.03, post, 0), (0.03, post + 0.06, z)) for post in posts]
@@ -380,6 +383,249 @@ def plain_room(rng: np.random.Generator, folder: Path) -> Verdict:
     share = kept_share(answer.scene, turned(points, degrees))
     return verdict(**{f'{style}: {100 * share:.0f} % kept': share < 0.97,
                       f'{style}: {"; ".join(notes)[:90]}': bool(notes)})
+
+
+def drawn_points(rng: np.random.Generator) -> np.ndarray:
+    """Draw points (N, 3) of a furnished room that is turned, metres, in a random order."""
+    size = rng.uniform((3.5, 3, 2.3), (9, 7, 3.4))
+    points = even_points(rng, [*shell(size), *furniture(rng, size)], rng.uniform(0.11, 0.16),
+                         rng.uniform(0.0, 0.006))
+    return turned(rng.permutation(points), rng.uniform(0.0, 360.0))
+
+
+def file_verdict(path: Path, points: np.ndarray, cause: str, note: str = '') -> Verdict:
+    """
+    Return the verdict on a file of a room: read in metres, or refused by its cause.
+
+    :param points: (N, 3) metres, those of the file.
+    :param cause: a pattern of what a clear refusal says.
+    :param note: a pattern of what a note or remark has to say if the room is read.
+    """
+    try:
+        answer = read(path)
+    except (SceneError, UserError) as error:
+        message = str(error)
+        # A line that the message proposes has to help.
+        if line := re.search(r"sed -i '1i ([^']*)'", message):
+            path.write_text(f'{line[1]}\n{path.read_text()}')
+            return Verdict(REFUSED if re.search(cause, message) and file_verdict(
+                path, points, '--scale 0.001', note).outcome != WRONG else WRONG, message)
+        return Verdict(REFUSED if re.search(cause, message) else WRONG, message)
+    found = ' x '.join(f'{edge:.2f}' for edge in answer.scene.size)
+    return verdict(**{f'{found} m': not np.allclose(
+        answer.scene.size, np.ptp(points, axis=0), rtol=0.03, atol=0.06),
+        'no note': not (answer.says(note) if note else True)})
+
+
+def write_lines(path: Path, rows: Sequence[Sequence[str]], separator: str, head: str = ''
+                ) -> Path:
+    """Write rows of cells as lines, perhaps below a first line."""
+    path.write_text('\n'.join([*([head] if head else []), *map(separator.join, rows)]) + '\n',
+                    encoding='utf-8')
+    return path
+
+
+def cells_of(points: np.ndarray, digits: int, mark: str = '.') -> list[list[str]]:
+    """Return coordinates (N, 3) as cells with a number of decimals."""
+    return [[f'{value:.{digits}f}'.replace('.', mark) for value in row] for row in points.tolist()]
+
+
+@kind
+def las_units(rng: np.random.Generator, folder: Path) -> Verdict:
+    """Judge a LAS file with units in plan and in height, as text or as keys."""
+    points = drawn_points(rng)
+    units = [('metre', 1.0, 9001), ('foot', 0.3048, 9002),
+             ('US survey foot', 1200.0 / 3937.0, 9003)]
+    (plan, plan_m, plan_code), (height, height_m, height_code) = (
+        units[k] for k in rng.choice(3, 2, replace=rng.uniform() < 0.2))
+    geographic = 'GEOGCS["g",DATUM["d",SPHEROID["s",6378137,298.257]],UNIT["degree",0.01745]]'
+    style = rng.choice(['keys', 'systems', 'old text', 'new text'])
+    if style == 'systems':
+        # Systems in metres or in feet by their codes.
+        (plan, plan_m), (height, height_m) = (('metre', 1.0) if is_metric else ('foot', 0.3048)
+                                              for is_metric in rng.permutation([True, False]))
+    keys = ([(3072, 26918 if plan == 'metre' else 2263), (4096, 5703 if height == 'metre' else
+                                                          6360)]
+            if style == 'systems' else [(3072, 32767), (3076, plan_code), (4099, height_code)])
+    body = np.array([(1, 1, 0, len(keys)), *((key, 0, 1, value) for key, value in keys)], '<u2')
+    record = (34735, body.tobytes())
+    if style == 'old text':
+        record = 2112, (f'COMPD_CS["c",PROJCS["p",{geographic},UNIT["{plan}",{plan_m:.12f}]],'
+                        f'VERT_CS["v",VERT_DATUM["d",2005],UNIT["{height}",{height_m:.12f}]]]'
+                        ).encode()
+    if style == 'new text':
+        record = 2112, (f'COMPOUNDCRS["c",PROJCRS["p",CS[Cartesian,2],LENGTHUNIT["{plan}",'
+                        f'{plan_m:.12f}]],VERTCRS["v",CS[vertical,1],LENGTHUNIT["{height}",'
+                        f'{height_m:.12f}]]]').encode()
+    header = laspy.LasHeader(point_format=int(rng.choice([0, 3])), version='1.2')
+    header.scales, header.offsets = [1e-3] * 3, rng.uniform(1e3, 9e5, 3).round()
+    header.vlrs.append(laspy.VLR('LASF_Projection', record[0], '', record[1]))
+    content = laspy.LasData(header)
+    content.x, content.y, content.z = (points / [plan_m, plan_m, height_m] + header.offsets).T
+    content.write(folder / 'room.las')
+    names = plan if plan == height else f'{plan} in plan, {height} in height'
+    return file_verdict(folder / 'room.las', points, '^$', names if names != 'metre' else '')
+
+
+@kind
+def colours_first(rng: np.random.Generator, folder: Path) -> Verdict:
+    """Judge a text file with colours before the coordinates."""
+    points = drawn_points(rng)
+    colours = rng.integers(0, 256, points.shape)
+    style = rng.choice(['bytes', 'decimals', 'shares', 'alpha', 'commas', 'millimetres'])
+    separator = str(rng.choice([' ', '\t', ';'] if style == 'commas' else [' ', ',', '\t', ';']))
+    front = cells_of(colours / 255.0 if style == 'shares' else colours,
+                     {'shares': 4, 'decimals': 1}.get(style, 0), ',' if style == 'commas' else '.')
+    if style == 'alpha':
+        front = [[*row, '255'] for row in front]
+    back = (cells_of(1000.0 * points, 0) if style == 'millimetres' else
+            cells_of(points, int(rng.integers(2, 6)), ',' if style == 'commas' else '.'))
+    path = write_lines(folder / 'room.txt', [first + rest for first, rest in zip(front, back)],
+                       separator)
+    return file_verdict(path, points, 'colours')
+
+
+@kind
+def decimal_commas(rng: np.random.Generator, folder: Path) -> Verdict:
+    """Judge a text file with decimal commas between blanks, tabs, semicolons, quotes or commas."""
+    points = drawn_points(rng)
+    separator = str(rng.choice([' ', '\t', ';', ',', '","']))
+    rows = cells_of(points, int(rng.integers(2, 6)), ',')
+    if separator == '","':
+        rows = [['"' + row[0], row[1], row[2] + '"'] for row in rows]
+    path = write_lines(folder / 'room.csv', rows, separator,
+                       'x;y;z' if separator == ';' and rng.uniform() < 0.5 else '')
+    return file_verdict(path, points, 'commas between numbers')
+
+
+@kind
+def counting_column(rng: np.random.Generator, folder: Path) -> Verdict:
+    """Judge a text file whose first column counts, names, or is a time."""
+    points = drawn_points(rng)
+    style = rng.choice(['from one', 'by ten', 'backwards', 'decimals', 'names', 'time'])
+    numbers = np.arange(1, len(points) + 1)
+    first = {'from one': map(str, numbers), 'by ten': map(str, 10 * numbers),
+             'backwards': map(str, numbers[::-1]), 'decimals': (f'{k}.000' for k in numbers),
+             'names': (f'P{k:05d}' for k in numbers),
+             'time': (f'{k * 1e-4 + 5.0:.6f}' for k in numbers)}[str(style)]
+    rows = [[name, *row] for name, row in zip(first, cells_of(points, 3))]
+    path = write_lines(folder / 'room.txt', rows, str(rng.choice([' ', ',', '\t', ';'])))
+    return file_verdict(path, points, 'number of the point|words|times')
+
+
+@kind
+def survey_table(rng: np.random.Generator, folder: Path) -> Verdict:
+    """Judge a table of a surveyor: point, northing, easting, height and code, with names."""
+    points = drawn_points(rng)
+    metres, unit = [(1.0, ''), (1.0, ' (m)'), (0.3048, ' (ft)')][rng.integers(3)]
+    names = [['P', 'N', 'E', 'Z', 'D'], ['Point', 'Northing', 'Easting', 'Elevation', 'Code'],
+             ['Pkt', 'Hoch', 'Rechts', 'H', 'Code']][rng.integers(3)]
+    names[1:4] = [name + unit for name in names[1:4]]
+    far = (points / metres + rng.uniform(1e4, 9e5, 3).round())[:, [1, 0, 2]]
+    separator = str(rng.choice([',', ';', '\t']))
+    mark = ',' if separator == ';' and rng.uniform() < 0.5 else '.'
+    rows = [[str(k), *row, 'WALL TOP'] for k, row in enumerate(cells_of(far, 3, mark), start=1)]
+    path = write_lines(folder / 'room.csv', rows, separator, separator.join(names))
+    return file_verdict(path, points, '^$', 'foot' if metres < 1.0 else '')
+
+
+@kind
+def thousands(rng: np.random.Generator, folder: Path) -> Verdict:
+    """Judge a text file of millimetres with separators of thousands."""
+    points = drawn_points(rng)
+    mark, decimal, separators = [
+        (',', '.', [' ', ';', '\t', ',', '","']), ('.', ',', [' ', ';', '\t']),
+        ("'", '.', [' ', ';', ',']), ('\u2019', '.', [' ', ';']), (' ', ',', [';', '\t']),
+        ('\u202f', ',', [';', '\t', ' '])][rng.integers(6)]
+    digits, separator = int(rng.integers(0, 3)), str(rng.choice(separators))
+    swap = str.maketrans({',': mark, '.': decimal})
+    rows = [[f'{value:,.{digits}f}'.translate(swap) for value in row]
+            for row in (1000.0 * (points - points.min(axis=0)) + 2.0).tolist()]
+    if separator == '","':
+        rows = [['"' + row[0], row[1], row[2] + '"'] for row in rows]
+    return file_verdict(write_lines(folder / 'room.csv', rows, separator), points, 'thousands')
+
+
+@kind
+def ragged_lines(rng: np.random.Generator, folder: Path) -> Verdict:
+    """Judge a text file whose lines have different numbers of cells."""
+    points = drawn_points(rng)
+    separator, step = str(rng.choice([',', ';', '\t'])), int(rng.integers(2, 40))
+    style = rng.choice(['first', 'last', 'empty', 'short', 'half'])
+    rows = cells_of(points, 3)
+    for k in range(0, len(rows), step):
+        rows[k] = {'first': [str(k % 4), *rows[k]], 'last': [*rows[k], '7', '8'],
+                   'empty': [rows[k][0], '', rows[k][2]], 'short': rows[k][:2],
+                   'half': [*rows[k][:2], '']}[str(style)]
+    path = write_lines(folder / 'room.csv', rows, separator)
+    return file_verdict(path, points, 'lines of 3 and of 4|of the next lines|other lines')
+
+
+@kind
+def gltf_extensions(rng: np.random.Generator, folder: Path) -> Verdict:
+    """Judge a glTF file that needs an extension: quantized, compressed or others."""
+    size = rng.uniform((3.5, 3, 2.3), (9, 7, 3.4))
+    corners = np.concatenate([*shell(size), *furniture(rng, size)]).reshape(-1, 3)
+    corners = np.column_stack([corners[:, 0], corners[:, 2], -corners[:, 1]])
+    name = str(rng.choice(['KHR_mesh_quantization', 'KHR_mesh_quantization',
+                           'KHR_draco_mesh_compression', 'EXT_meshopt_compression']))
+    low, edge = corners.min(axis=0), np.ptp(corners, axis=0).max()
+    code, number_type = [(5123, '<u2'), (5121, 'u1')][rng.integers(2)]
+    full = np.iinfo(number_type).max
+    values = np.round((corners - low) / edge * full).astype(number_type)
+    # Rows are padded to four bytes.
+    width = 3 * values.itemsize + -3 * values.itemsize % 4
+    rows = np.zeros((len(values), width // values.itemsize), number_type)
+    rows[:, :3] = values
+    document = json.dumps({
+        'asset': {'version': '2.0'}, 'scenes': [{'nodes': [0]}], 'scene': 0,
+        'extensionsUsed': [name], 'extensionsRequired': [name],
+        'nodes': [{'mesh': 0, 'scale': [edge] * 3, 'translation': low.tolist()}],
+        'meshes': [{'primitives': [{'attributes': {'POSITION': 0}}]}],
+        'accessors': [{'bufferView': 0, 'componentType': code, 'normalized': True,
+                       'count': len(rows), 'type': 'VEC3'}],
+        'bufferViews': [{'buffer': 0, 'byteLength': rows.nbytes, 'byteStride': width}],
+        'buffers': [{'byteLength': rows.nbytes}]}).encode()
+    document += b' ' * (-len(document) % 4)
+    (folder / 'room.glb').write_bytes(
+        b'glTF' + struct.pack('<IIII', 2, 28 + len(document) + rows.nbytes, len(document),
+                              0x4E4F534A)
+        + document + struct.pack('<II', rows.nbytes, 0x004E4942) + rows.tobytes())
+    upright = corners[:, [0, 2, 1]]
+    return file_verdict(folder / 'room.glb', upright, '^$' if 'quant' in name else name)
+
+
+@kind
+def unit_in_comment(rng: np.random.Generator, folder: Path) -> Verdict:
+    """Judge an OBJ file that names its unit in a comment."""
+    size = rng.uniform((3.5, 3, 2.3), (9, 7, 3.4))
+    corners = turned(np.concatenate([*shell(size), *furniture(rng, size)]).reshape(-1, 3),
+                     rng.uniform(0.0, 360.0))
+    unit, metres = [('mm', 0.001), ('centimeters', 0.01), ('inches', 0.0254), ('feet', 0.3048),
+                    ('Meters', 1.0)][rng.integers(5)]
+    comment = ['# File units = {}', '# Units: {}', '# unit {}', '# 1 unit = 1 {}',
+               '# all measurements in {}', '# Exported by Program 2.1, units are {}',
+               '# This file uses {} as units'][rng.integers(7)].format(unit)
+    lines = [f'v {x:.6f} {y:.6f} {z:.6f}' for x, y, z in (corners / metres).tolist()]
+    lines += [f'f {k} {k + 1} {k + 2}' for k in range(1, len(corners), 3)]
+    (folder / 'room.obj').write_text('\n'.join(['# a room', comment, *lines]) + '\n')
+    return file_verdict(folder / 'room.obj', corners, '^$', 'unit' if metres != 1.0 else '')
+
+
+@kind
+def splats(rng: np.random.Generator, folder: Path) -> Verdict:
+    """Judge a file of Gaussian splats, which has no scale."""
+    points = drawn_points(rng) * rng.uniform(0.5, 1.5)
+    names = ['x', 'y', 'z', *(['nx', 'ny', 'nz'] if rng.uniform() < 0.5 else []),
+             *(f'f_dc_{k}' for k in range(3)),
+             *(f'f_rest_{k}' for k in range(rng.choice([0, 9, 45]))), 'opacity',
+             *(f'scale_{k}' for k in range(rng.choice([2, 3]))), *(f'rot_{k}' for k in range(4))]
+    rows = rng.normal(0.0, 1.0, (len(points), len(names))).astype('<f4')
+    rows[:, :3] = points
+    head = '\n'.join(['ply', 'format binary_little_endian 1.0', f'element vertex {len(rows)}',
+                      *(f'property float {name}' for name in names), 'end_header', ''])
+    (folder / 'room.ply').write_bytes(head.encode() + rows.tobytes())
+    return file_verdict(folder / 'room.ply', points, 'splats', 'splats.*--scale')
 
 
 def judged(name: str, seed: int) -> dict:

@@ -64,11 +64,13 @@ def evaluate_placement(problem: Problem, poses: np.ndarray) -> dict[str, Any]:
     scene = problem.objective.simulator.scene
     missing = missing_surfaces(scene)
     fixed_angles = np.rad2deg(problem.fixed_poses[:, 3:]).ravel().tolist()
+    rig_angles = np.rad2deg([*problem.rig.pitch, *problem.rig.rolls]).tolist()
     return {'scores': scores, 'broken': broken_by(problem.region, poses, scores), **improvement,
             'expected': expected(scores['validation_error'], scores['depth_error_of_nothing'],
                                  gaps_of(scene)),
             'notes': [*problem.region.fixed_notes(),
-                      *angle_notes(fixed_angles, problem.rig.models), *room_notes(scene),
+                      *angle_notes(fixed_angles, problem.rig.models),
+                      *angle_notes(rig_angles), *room_notes(scene),
                       *missing_surface_notes(missing), *scene.notes,
                       *bandwidth_notes(problem.rig.all_cameras),
                       *_missed_notes(improvement['missed']['share']),

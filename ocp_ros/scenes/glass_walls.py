@@ -17,7 +17,8 @@ Find walls of glass, which a scanner sees through: of what is behind them there 
 
 Glass lets a part of the rays through twice, there and back. So the numbers of points on floor and
 ceiling drop at once, by a like factor, and not slowly with the distance from the scanner. A frame
-in a glass wall adds points at the wall and hides some behind it.
+in a glass wall adds points at the wall and hides some behind it. Above a parapet, which hides the
+floor behind it, the ceiling alone is evidence.
 """
 
 from collections.abc import Iterator
@@ -51,20 +52,25 @@ def glass_walls(scene: Scene, points: np.ndarray) -> np.ndarray:
     floor = np.percentile(points[:, 2], 1.0)
     ceiling = floor + ceiling_height(points[:, 2] - floor)
     layers = [places[np.abs(points[:, 2] - z) < 0.1] for z in (floor, ceiling)]
+    parapets = places[(points[:, 2] > floor + 0.3) & (points[:, 2] < floor + 0.8)]
     found = [np.empty((0, 2))]
     for axis in (0, 1):
-        for start, end in _density_steps([layer[:, [axis, 1 - axis]] for layer in layers]):
+        order = [axis, 1 - axis]
+        for start, end in _density_steps([layer[:, order] for layer in layers],
+                                         parapets[:, order]):
             count = int(np.ceil(np.ptp([start[1], end[1]]) / 0.05)) + 1
             line = np.linspace(start, end, count)
             found.append(line if axis == 0 else line[:, ::-1])
     return np.concatenate(found) @ rotation.T
 
 
-def _density_steps(layers: list[np.ndarray]) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+def _density_steps(layers: list[np.ndarray], parapets: np.ndarray
+                   ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """
     Yield the lines along the second axis at which all layers become less dense.
 
     :param layers: places (N, 2) metres on the floor, and those on the ceiling.
+    :param parapets: (P, 2) metres, places at the height of parapets.
     :returns: the start and the end (2,) of each line.
     """
     if min(map(len, layers)) < MIN_POINTS:
@@ -72,10 +78,14 @@ def _density_steps(layers: list[np.ndarray]) -> Iterator[tuple[np.ndarray, np.nd
     low, high = corners_of(np.concatenate(layers))
     shape = ((high - low) / CELL_M).astype(int) + 1
     counts = np.array([np.histogram2d(*layer.T, shape, np.column_stack(
-        [low, low + shape * CELL_M]))[0] for layer in layers])
+        [low, low + shape * CELL_M]))[0] for layer in (*layers, parapets)])
     # Twice: with the glass room behind, and before.
     for is_turned in (False, True):
-        for row, first, end in _steps_in(counts[:, ::-1] if is_turned else counts):
+        turned = counts[:, ::-1] if is_turned else counts
+        above_parapets = [
+            (row, first, end) for row, first, end in _steps_in(turned[1:2])
+            if turned[2, max(row - 2, 0):row + 3, first:end].any(axis=0).mean() > 0.7]
+        for row, first, end in (*_steps_in(turned[:2]), *above_parapets):
             middle = 0.5 + (shape[0] - 1 - row if is_turned else row)
             # Two cells longer, up to the next walls.
             yield (low + np.multiply(CELL_M, (middle, first - 2)),
@@ -102,7 +112,7 @@ def _steps_in(counts: np.ndarray) -> Iterator[tuple[int, int, int]]:
     sums = np.cumsum(np.pad(log_odds.sum(axis=0), ((0, 0), (1, 0))), axis=1)
     rises = sums - np.minimum.accumulate(sums, axis=1)
     ends, gains = np.argmax(rises, axis=1), rises.max(axis=1)
-    for k in np.flatnonzero(gains > 3.0).tolist():
+    for k in np.flatnonzero(gains > 1.5 * len(counts)).tolist():
         first, end, row = int(np.argmin(sums[k, :ends[k] + 1])), int(ends[k]), k + width
         # Only the best line within 0.2 m, and of 2.4 m at least.
         if gains[k] < gains[max(k - 4, 0):k + 5].max() or end - first < 6:

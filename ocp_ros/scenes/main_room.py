@@ -73,7 +73,9 @@ def main_room(scene: Scene, points: np.ndarray, surfaces: np.ndarray, all_rooms:
     glass = glass_walls(scene, points) - corner[:2]
     if all_rooms:
         return _with_rooms(scene, thin_points, cell, glass, corner)
-    numbers, wall_shares = _separate_rooms(thin_points, cell, glass, MIN_HALF_WIDTH_M)
+    # A corridor behind glass is a room too.
+    numbers, wall_shares = _separate_rooms(thin_points, cell, glass, MIN_HALF_CLOSET_M if len(
+        glass) else MIN_HALF_WIDTH_M)
     rooms = Rooms(numbers, cell, np.zeros(2))
     if rooms.count < 2:
         return scene

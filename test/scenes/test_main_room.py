@@ -259,8 +259,8 @@ def test_what_a_scanner_sees_through_a_window_is_left_out_and_named(below):
     assert floor_height(scene) == pytest.approx(0.0, abs=0.02)
 
 
-@pytest.mark.parametrize('has_frame', [False, True], ids=['glass alone', 'glass in a frame'])
-def test_what_is_behind_glass_is_another_room_and_what_a_scanner_hardly_reaches_is_not(has_frame):
+@pytest.mark.parametrize('style', ['glass alone', 'frame', 'parapet'])
+def test_what_is_behind_glass_is_another_room_and_what_a_scanner_hardly_reaches_is_not(style):
     rng = np.random.default_rng(0)
     points = sample_faces(box((0, 0, 0), (10.0, 4.5, 2.7)), 60_000)[:, :3]
     # A scanner stands in the middle of the larger part; glass lets 45 % through.
@@ -270,7 +270,14 @@ def test_what_is_behind_glass_is_another_room_and_what_a_scanner_hardly_reaches_
     behind = points[:, 0] < 3.5
     assert len(scene_of(turned(points[seen], 20.0))) > 0.98 * np.count_nonzero(seen)
     shown = seen & ~(behind & (chance > 0.45))
-    if has_frame:
+    if style == 'parapet':
+        # It hides the floor behind it.
+        over = 1.5 + (points[:, 2] - 1.5) * 3.0 / (6.5 - np.minimum(points[:, 0], 3.5))
+        shown &= ~behind | (over > 0.9)
+        wall = rng.uniform((3.5, 0, 0), (3.5, 4.5, 0.9), (2000, 3))
+        points, behind = np.concatenate([points, wall]), np.append(behind, np.zeros(2000, bool))
+        shown = np.append(shown, np.ones(2000, bool))
+    if style == 'frame':
         # Its rails hide a strip of the floor and a wider one of the ceiling.
         shadow = np.where(points[:, 2] < 1.35, 0.15, 0.35)
         shown &= ~behind | (points[:, 0] < 3.5 - shadow)
