@@ -22,7 +22,7 @@ import re
 from conftest import ROOT
 import pytest
 
-README, RESULTS = 'README.md', 'docs/results.md'
+README, RESULTS, ENGINE = 'README.md', 'docs/results.md', 'docs/explanation/engine.md'
 MODELS = 'docs/reference/models.md'
 OVER_ROS = 'docs/tasks/train_over_ros.md'
 ROBUSTNESS, SECURITY = 'docs/reference/robustness.md', 'docs/explanation/security.md'
@@ -100,6 +100,10 @@ SENTENCES = [
      'tdsa_100 bpso_1000'),
     (README, 'it takes {} ms per camera, and its F1 score against ray casting is {}',
      'engine/{key}/fine.40000', 'ms f1'),
+    (ENGINE, 'the shares are {}, {} and {}', 'false_visibility/means/{key}/blocked',
+     'all proved proved_known_scans'),
+    (ENGINE, 'F1 is {}, {} and {}', 'false_visibility/means/{key}/f1',
+     'all proved proved_known_scans'),
     (RESULTS, "the integral is {}. When the scan is turned by 17 or 45 degrees, the engine's "
      'error changes by at most {} of its value', 'measure/viewpoints/air/{key}',
      'rank_correlation turned_objective_change_worst'),
