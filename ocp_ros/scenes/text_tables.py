@@ -444,11 +444,8 @@ def _find_bad_line(path: Path, table_format: TableFormat) -> SceneError | None:
             # Some files are UTF-8.
             line = _as_utf8(line)
             cells = table_format.split_cells(line)
-            # Commas and points that are no separators of cells.
-            numbers = ' '.join(cells if table_format.is_quoted else []) if (
-                table_format.separator == ',') else line
             others = [_is_good_line(other, table_format) for other in islice(file, 10_000)]
-            if THOUSANDS.search(numbers) or table_format.separator and any(
+            if THOUSANDS.search(' '.join(cells)) or table_format.separator and any(
                     re.fullmatch(r'[-+]?\d{1,3}(?: \d{3})+(?:[.,]\d+)?', cell) for cell in cells):
                 remedy = 'export it without separators of thousands'
             elif table_format.count is not None:

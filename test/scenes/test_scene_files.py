@@ -313,6 +313,9 @@ REFUSED = {
     'blanks in thousands.csv': (lambda path: path.write_text(''.join(
         '{:,.1f};{:,.1f};{:,.1f}\n'.format(*row).replace(',', '\u202f').replace('.', ',')
         for row in 1000.0 * ROOM), encoding='utf-8'), 'thousands'),
+    'apostrophes.csv': (lambda path: path.write_text(''.join(
+        '{:,.1f};{:,.1f};{:,.1f}\n'.format(*row).replace(',', "'").replace(';', ',')
+        for row in 1000.0 * ROOM)), 'thousands'),
     'tabs and no number.txt': (lambda path: path.write_text(''.join(
         '{:.3f}\t{:.3f}\t{}\t12\n'.format(*row[:2], row[2] if k % 20 else '')
         for k, row in enumerate(ROOM.tolist()))), 'of the next'),
