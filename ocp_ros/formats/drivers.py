@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 import warnings
 
 import numpy as np
-from ocp_ros.formats.exported import Exported, Link, link_between
+from ocp_ros.formats.exported import Exported, image_size, Link, link_between
 from ocp_ros.geometry.cameras import rotation_matrix, TO_BODY
 from ocp_ros.rig.rig_file import Camera
 
@@ -139,6 +139,16 @@ def _started(exported: Exported, number: int, camera: Camera) -> StartedDriver:
     optical = driver.root_in_optical
     if camera.sensor.endswith('wfov') and device.driver == 'azure_kinect':
         parameters['depth_mode'], optical = 'WFOV_2X2BINNED', _optical_from_kinect_base(7.3)
+    if device.driver == 'orbbec_camera':
+        # The resolution of a Femto selects its field of view. Source: OrbbecSDK_ROS2, README.
+        if camera.sensor.startswith('femto'):
+            for image in ('depth', 'ir'):
+                size = image_size(camera.model)
+                parameters |= {f'{image}_width': size[0], f'{image}_height': size[1]}
+        # With one device, version 1 takes any. Source: ob_camera_node_driver.cpp, selectDevice.
+        if device.serial:
+            parameters['device_num'] = max(2, sum(
+                placed.camera.device.driver == device.driver for _, placed in exported.cameras()))
     if device.serial:
         parameters[driver.serial[0]] = driver.serial[1].format(serial=device.serial)
     folder = '/' + '/'.join(filter(None, (device.namespace, name)))

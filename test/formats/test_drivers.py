@@ -14,6 +14,7 @@
 
 """The exported launch file starts the drivers that a rig names, and joins their frames."""
 
+import re
 import sys
 from types import SimpleNamespace
 
@@ -45,7 +46,8 @@ def rig():
     return rig_with([
         {'sensor': 'realsense_d455', 'count': 2, 'serial': ['0344', '0345'],
          'driver': 'realsense2_camera', 'namespace': 'hall', 'host': 'pc1'},
-        {'sensor': 'gemini_2', 'driver': 'orbbec_camera', 'serial': 'AY1', 'name': 'by the door'},
+        {'sensor': 'femto_bolt_wfov', 'driver': 'orbbec_camera', 'serial': 'AY1',
+         'name': 'by the door'},
         {'horizontal_fov': 80, 'vertical_fov': 55, 'max_range': 8, 'name': '2nd oak',
          'driver': 'depthai_ros_driver', 'serial': '14442C'},
         {'sensor': 'azure_kinect_wfov', 'driver': 'azure_kinect', 'serial': '000123'}])
@@ -98,6 +100,9 @@ def test_each_driver_gets_its_camera_and_its_depth_image_is_where_the_camera_loo
     assert [parameters[0]['serial_no'], parameters[2]['serial_number'],
             parameters[3]['camera.i_mx_id'], parameters[4]['sensor_sn']] == [
                 '_0344', 'AY1', '14442C', '000123']
+    # Otherwise the driver takes any device, and another field of view.
+    assert [parameters[2][key] for key in ('device_num', 'depth_width', 'ir_height')] == [
+        2, 512, 512]
     assert policy['cloud_topics'].split(',') == [
         '/hall/realsense_d455_1/depth/color/points', '/hall/realsense_d455_2/depth/color/points',
         '/by_the_door/depth/points', '/camera_3_2nd_oak/stereo/image_raw',
@@ -117,6 +122,13 @@ def test_each_driver_gets_its_camera_and_its_depth_image_is_where_the_camera_loo
                 optical, optical, optical, np.eye(4), kinect), strict=True):
         np.testing.assert_allclose(in_map(found, frame) @ inner, pose_matrix(placed, 'optical'),
                                    atol=1e-6)
+
+
+def test_nodes_have_names_that_ros_accepts_whatever_the_prefix(rig, monkeypatch):
+    nodes = launched(Exported(placement_of(rig, POSES), 'hall/left_'), monkeypatch)
+    names = [node['name'] for node in nodes]
+    assert all(re.fullmatch('[A-Za-z_][A-Za-z0-9_]*', name) for name in names)
+    assert len(set(names)) == len(names)
 
 
 def test_the_parameters_of_policy_node_are_some_that_it_has(rig, monkeypatch):
