@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Cameras as sensors in a storey of a building model: IFC4 (ifcopenshell)."""
+"""Cameras as sensors in a storey of a building model: IFC (ifcopenshell)."""
 
 from pathlib import Path
 from typing import Any
@@ -23,6 +23,7 @@ from ocp_ros.formats.exported import Exported, pose_matrix
 from ocp_ros.formats.scene_models import field_of_view_body
 from ocp_ros.geometry.cameras import CameraModel
 from ocp_ros.rig.placement_file import Placed
+from ocp_ros.scenes.building_files import storey_levels
 
 #: Size of a camera's body, metres.
 BODY_M = 0.1
@@ -34,14 +35,17 @@ BODY = (BODY_M * np.array([[0.0, 0.0, 0.0], [1.0, 0.5, 0.4], [1.0, -0.5, 0.4], [
 
 def ifc_of(exported: Exported) -> str:
     """
-    Return cameras as ``IfcSensor`` in a storey.
+    Return cameras as ``IfcSensor`` in a storey; in IFC2X3 as ``IfcDistributionControlElement``.
 
     If the room is an IFC file that still exists, the cameras are added to this model, in the
-    highest storey below each camera. Otherwise the model is a new one with a storey on the floor.
+    highest storey below each camera. Otherwise it is a new one of IFC4 with a storey on the floor.
     The body of a field of view has the representation identifier ``Clearance``. The property set
     ``Ocp_DepthCamera`` has radians and metres.
+
+    :raises ConfigurationError: if the model is a new one, and z of the files is not up.
     """
     import ifcopenshell
+    from ifcopenshell.api import run
     from ifcopenshell.util.unit import calculate_unit_scale
     record = exported.original.room
     room = Path(record.get('file', ''))
@@ -56,7 +60,8 @@ def ifc_of(exported: Exported) -> str:
         matrices = [pose_matrix(placed) for placed in exported.placement.cameras]
     scale = calculate_unit_scale(model)
     context = next((one for one in model.by_type('IfcGeometricRepresentationContext', False)
-                    if one.ContextType == 'Model'), None)
+                    if one.ContextType == 'Model'), None) or run(
+                        'context.add_context', model, context_type='Model')
     for number, placed in exported.cameras():
         _add_camera(model, context, placed, matrices[number], scale)
     return model.to_string()
@@ -66,6 +71,7 @@ def _new_model(exported: Exported) -> Any:
     """Return a model with a project, a site, a building and a storey, in metres."""
     import ifcopenshell
     from ifcopenshell.api import run
+    exported.check_z_up('ifc')
     model = ifcopenshell.file(schema='IFC4')
     project = run('root.create_entity', model, ifc_class='IfcProject', name='ocp_ros')
     run('unit.assign_unit', model, length={'is_metric': True, 'raw': 'METERS'})
@@ -89,25 +95,24 @@ def _add_camera(model: Any, context: Any, placed: Placed, matrix: np.ndarray, sc
     """Add a camera with a pose (4, 4) in metres; ``scale`` is metres per unit of the model."""
     from ifcopenshell.api import run
     camera, lens = placed.camera, placed.camera.model
-    sensor = run('root.create_entity', model, ifc_class='IfcSensor', name=camera.name,
+    kind = 'IfcDistributionControlElement' if model.schema == 'IFC2X3' else 'IfcSensor'
+    sensor = run('root.create_entity', model, ifc_class=kind, name=camera.name,
                  predefined_type='USERDEFINED')
     sensor.ObjectType = 'DEPTH_CAMERA'
     sensor.Description = camera.sensor or None
-    storeys = [(storey.Elevation or 0.0, number, storey)
-               for number, storey in enumerate(model.by_type('IfcBuildingStorey'))]
+    storeys = storey_levels(model)
     below = [one for one in storeys if scale * one[0] <= matrix[2, 3] + 1e-6]
     if storeys:
         run('spatial.assign_container', model, products=[sensor],
-            relating_structure=(max(below) if below else min(storeys))[2])
+            relating_structure=(below[-1] if below else storeys[0])[1])
     run('geometry.edit_object_placement', model, product=sensor, matrix=matrix)
     representations = []
     for identifier, (vertices, triangles) in (('Body', BODY),
                                               ('Clearance', field_of_view_body(lens))):
-        points = model.create_entity('IfcCartesianPointList3D', (vertices / scale).tolist())
-        faces = model.create_entity('IfcTriangulatedFaceSet', points, None, True,
-                                    (triangles + 1).tolist())
-        representations.append(model.create_entity(
-            'IfcShapeRepresentation', context, identifier, 'Tessellation', [faces]))
+        representation = run('geometry.add_mesh_representation', model, context=context,
+                             vertices=[vertices], faces=[triangles.tolist()], unit_scale=scale)
+        representation.RepresentationIdentifier = identifier
+        representations.append(representation)
     sensor.Representation = model.create_entity('IfcProductDefinitionShape', None, None,
                                                 representations)
     properties = run('pset.add_pset', model, product=sensor, name='Ocp_DepthCamera')

@@ -167,6 +167,19 @@ class Exported:
             return positions
         return self.source.scales * self.source.to_source(positions)
 
+    def check_z_up(self, kind: str) -> None:
+        """
+        Check that z of the files is up, which is not so in the axes of some scans.
+
+        :param kind: the kind of file, for the message.
+        :raises ConfigurationError: if z is not up.
+        """
+        up = self.to_file(np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0]]))
+        if abs(up[1, 2] - up[0, 2] - 1.0) > 1e-6:
+            raise ConfigurationError(
+                f'{kind}: found a frame whose z axis does not point up; expected one with z up; '
+                'leave out --frame source')
+
     @property
     def links(self) -> list[Link]:
         """Return the transform between map and scan, if they differ."""

@@ -76,7 +76,7 @@ def csv_of(exported: Exported) -> str:
         writer.writerow({
             'number': number + 1, 'name': placed.camera.name, 'frame': exported.placement.frame,
             'link': exported.frame(number), 'mount': placed.mount, **numbers_of(placed.camera),
-            **dict(zip('xyz', np.divide(placed.position, exported.scales).tolist())),
+            **dict(zip('xyz', np.round(placed.position / exported.scales, 9).tolist())),
             **dict(zip(('yaw', 'pitch', 'roll'), placed.angles))})
     return file.getvalue()
 

@@ -20,7 +20,6 @@ from typing import Any
 import numpy as np
 from ocp_ros.formats.exported import Exported
 from ocp_ros.rig.placement_file import numbers_of
-from ocp_ros.util.settings import ConfigurationError
 
 #: Layers of the drawing and their colours, by the index of AutoCAD.
 LAYERS = {'WALLS': 7, 'CAMERAS': 1, 'FIELD_OF_VIEW': 5, 'DIMENSIONS': 8, 'ZONES': 3}
@@ -35,14 +34,11 @@ def dxf_of(exported: Exported) -> str:
     The block ``CAMERA`` looks along x; each camera is an insertion with the height, rotation and
     attributes of the camera. Closed lines show what each camera would see if nothing hid anything.
 
-    :raises ConfigurationError: if z of the files is not up, as in the axes of some scans.
+    :raises ConfigurationError: if z of the files is not up.
     """
     import ezdxf
     assessed = exported.assessed
-    up = exported.to_file(np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0]]))
-    if abs(up[1, 2] - up[0, 2] - 1.0) > 1e-6:
-        raise ConfigurationError('dxf: found a frame whose z axis does not point up; expected one '
-                                 'with z up; leave out --frame source')
+    exported.check_z_up('dxf')
     drawing = ezdxf.new('R2010', setup=True)
     drawing.header['$INSUNITS'], drawing.header['$MEASUREMENT'] = 6, 1
     for layer, colour in LAYERS.items():

@@ -71,7 +71,10 @@ def metropolis_of(exported: Exported) -> str:
     Return ``calibration.json`` of NVIDIA Metropolis: a Cartesian calibration in metres.
 
     Source: NVIDIA VSS documentation, calibration schema. The homography maps the floor to pixels.
+
+    :raises ConfigurationError: if z of the files is not up.
     """
+    exported.check_z_up('metropolis')
     assessed = exported.assessed
     floor = exported.to_file(np.array([0.0, 0.0, assessed.floors.height]))[2] if assessed else 0.0
     sensors = [_metropolis_sensor(camera, float(floor))

@@ -42,7 +42,10 @@ def usd_of(exported: Exported) -> str:
 
     The focal length has the ratio to the aperture that gives the field of view. A camera without
     image plane is an ``Xform`` with the same axes. Source: OpenUSD, UsdGeomCamera.
+
+    :raises ConfigurationError: if z of the files is not up, as for ``gltf_of``.
     """
+    exported.check_z_up('usd')
     prims = ''
     for number, placed in exported.cameras():
         model, matrix = placed.camera.model, pose_matrix(placed, 'opengl')
@@ -74,6 +77,7 @@ def gltf_of(exported: Exported) -> str:
     A node has the name of the camera's frame; the body, which ends at the range, has the same name
     with ``_field_of_view`` after it.
     """
+    exported.check_z_up('gltf')
     content: dict[str, Any] = {
         'asset': {'version': '2.0', 'generator': 'ocp_ros'}, 'scene': 0, 'scenes': [{'nodes': []}],
         'nodes': [], 'cameras': [], 'meshes': [], 'materials': [], 'accessors': [],

@@ -13,7 +13,7 @@
 # limitations under the License.
 
 """
-Rooms from occupancy maps of robots, DXF floor plans, IFC building models and USD stages.
+Rooms from occupancy maps of robots, DXF floor plans and IFC building models.
 
 The functions that need a library run in the separate process of
 :mod:`ocp_ros.scenes.guarded_reading`. The first row that they yield describes the frame of the
@@ -30,7 +30,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from ocp_ros.geometry.cameras import rotation_matrix
-from ocp_ros.scenes.measured_room import box_faces
 from ocp_ros.util import yaml_files as schema
 from ocp_ros.util.files import read_regular
 from ocp_ros.util.yaml_files import Document
@@ -54,7 +53,7 @@ MAP = schema.mapping(
                        {'type': 'number'}, [0, 0, 0], 2, 3),
     occupied_thresh=schema.number('a share from 0 to 1', 0.65, minimum=0, maximum=1),
     free_thresh=schema.number('a share from 0 to 1', 0.25, minimum=0, maximum=1),
-    negate={'description': '0 or 1', 'enum': [0, 1], 'examples': [0]},
+    negate={'description': '0 or 1', 'enum': [0, 1, False, True], 'examples': [0]},
     mode=schema.one_of(('trinary', 'scale', 'raw'), 'trinary'))
 
 
@@ -64,7 +63,7 @@ class Building(NamedTuple):
 
     :ivar height: metres, of the walls of a map or floor plan; 0 if it is not given.
     :ivar layers: names of the layers of walls in a DXF file, with commas; empty for those that
-        are named like walls.
+        are named like walls, and neither off nor frozen.
     :ivar storey: name of a storey of an IFC model; empty for all of them.
     :ivar space: name or number of a space of an IFC model; empty for all of them.
     :ivar open_doors: leave out the doors of an IFC model.
@@ -112,16 +111,20 @@ def read_map(document: Document, folder: Path, height: float) -> np.ndarray:
         quads.append(np.array([(*start, 0.0), (*end, 0.0), (*end, 1.0), (*start, 1.0)]))
     x, y, *yaw = data['origin']
     corners = np.array(quads) * (data['resolution'], data['resolution'], height)
-    return _triangles(corners @ rotation_matrix(*yaw).T + (x, y, 0.0))
+    return triangles_of(corners @ rotation_matrix(*yaw).T + (x, y, 0.0))
 
 
-def _triangles(quads: np.ndarray) -> np.ndarray:
+def triangles_of(quads: np.ndarray) -> np.ndarray:
     """Divide quadrilaterals (Q, 4, 3) by a diagonal: (2 Q, 9) the corners of triangles."""
     return quads[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 9)
 
 
 def _map_cells(document: Document, folder: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Return which pixels (H, W) of a map are occupied, and which are free."""
+    """
+    Return which pixels (H, W) of a map are occupied, and which are free.
+
+    Source: nav2_map_server, map_io.cpp. Transparent pixels are unknown.
+    """
     from PIL import Image
     data = document.data
     name = data['image']
@@ -135,13 +138,18 @@ def _map_cells(document: Document, folder: Path) -> tuple[np.ndarray, np.ndarray
                 raise document.error(
                     ('image',), f'{image.width} x {image.height} pixels',
                     f'at most {MAX_MAP_CELLS:,}', 'cut out the rooms that are needed')
-            values = np.asarray(image.convert('L'), dtype=np.float64) / 255.0
+            pixels = np.asarray(image.convert('RGBA'))
     except (OSError, SyntaxError, ValueError) as error:
         raise document.error(('image',), f'{name}, which cannot be read ({error})',
                              'a .pgm, .png or .bmp image', 'correct its name') from error
-    occupancy = values if data.get('negate', 0) else 1.0 - values
-    return (occupancy > data.get('occupied_thresh', 0.65),
-            occupancy < data.get('free_thresh', 0.25))
+    values, known = pixels[..., :3].mean(axis=2), pixels[..., 3] == 255
+    if data.get('mode') == 'raw':
+        # Pixels are percentages; others are unknown.
+        occupancy, known = values / 100.0, known & (values <= 100.0)
+    else:
+        occupancy = values / 255.0 if data.get('negate', 0) else 1.0 - values / 255.0
+    return (known & (occupancy > data.get('occupied_thresh', 0.65)),
+            known & (occupancy < data.get('free_thresh', 0.25)))
 
 
 def _rectangles(mask: np.ndarray) -> Iterator[tuple[tuple[int, int], tuple[int, int]]]:
@@ -188,10 +196,12 @@ def dxf_rows(path: str, height: str, layers: str, scale: str) -> Iterator[np.nda
     unit = plan.header.get('$INSUNITS', 0)
     metres = float(scale) or (units.conversion_factor(unit, units.M) if unit else 1.0)
     wanted = {name.strip().lower() for name in layers.split(',') if name.strip()}
+    hidden = {layer.dxf.name for layer in plan.layers if layer.is_frozen() or layer.is_off()}
     lines, found = [], set()
     for layer, points in _polylines(plan.modelspace(), '0', 0.02 / metres):
         found.add(layer)
-        if layer.lower() in wanted if wanted else WALL_LAYER.search(layer):
+        if layer.lower() in wanted if wanted else (
+                WALL_LAYER.search(layer) and layer not in hidden):
             lines.append(np.stack([points[:-1], points[1:]], axis=1))
     if not lines:
         raise ValueError(f'found lines on the layers {", ".join(sorted(found)[:20]) or "(none)"}; '
@@ -205,8 +215,8 @@ def dxf_rows(path: str, height: str, layers: str, scale: str) -> Iterator[np.nda
     # A wall goes from the start of a line to its end, and back at the top.
     walls = np.insert(ends[:, [0, 1, 1, 0]], 2, 0.0, axis=2)
     walls[:, 2:, 2] = top
-    yield _frame_row(metres, 2)
-    yield _triangles(np.concatenate([*quads, walls]))
+    yield frame_row(metres, 2)
+    yield triangles_of(np.concatenate([*quads, walls]))
 
 
 def _polylines(entities: Any, parent_layer: str, step: float
@@ -222,7 +232,8 @@ def _polylines(entities: Any, parent_layer: str, step: float
         layer = entity.dxf.get('layer', '0')
         layer = parent_layer if layer == '0' else layer
         if entity.dxftype() == 'INSERT':
-            yield from _polylines(entity.virtual_entities(), layer, step)
+            for one in entity.multi_insert() if entity.mcount > 1 else (entity,):
+                yield from _polylines(one.virtual_entities(), layer, step)
             continue
         try:
             path = make_path(entity)
@@ -251,7 +262,7 @@ def ifc_rows(path: str, storey: str, space: str, open_doors: str) -> Iterator[np
     # All lengths in the unit of the file.
     settings.set('convert-back-units', True)
     low, high = _bounds_in_model(model, geom, settings, storey, space, metres)
-    yield _frame_row(metres, 2)
+    yield frame_row(metres, 2)
     hidden = (*TRANSPARENT, *(['IfcDoor'] if open_doors else []))
     shapes = geom.iterator(settings, model, 1, exclude=_of_kinds(model, hidden))
     is_any = shapes.initialize()
@@ -264,9 +275,10 @@ def ifc_rows(path: str, storey: str, space: str, open_doors: str) -> Iterator[np
 
 def _of_kinds(model: Any, kinds: Iterable[str]) -> list[Any]:
     """Return the elements of some kinds, and the panes of curtain walls."""
+    from ifcopenshell.util.element import get_predefined_type
     elements = [element for kind in kinds for element in model.by_type(kind)]
     panes = [plate for plate in model.by_type('IfcPlate')
-             if getattr(plate, 'PredefinedType', None) == 'CURTAIN_PANEL']
+             if get_predefined_type(plate) == 'CURTAIN_PANEL']
     return elements + panes
 
 
@@ -281,11 +293,10 @@ def _bounds_in_model(model: Any, geom: Any, settings: Any, storey: str, space: s
     """Return two opposite corners (3,) of what is read, in the unit of the file."""
     low, high = np.full(3, -np.inf), np.full(3, np.inf)
     if storey:
-        storeys = sorted(model.by_type('IfcBuildingStorey'),
-                         key=lambda item: item.Elevation or 0.0)
-        chosen = _named(storeys, storey, 'storey')
-        level = chosen.Elevation or 0.0
-        above = [item.Elevation for item in storeys if (item.Elevation or 0.0) > level]
+        storeys = storey_levels(model)
+        chosen = _named([one for _, one in storeys], storey, 'storey')
+        level = next(z for z, one in storeys if one == chosen)
+        above = [z for z, _ in storeys if z > level]
         low[2] = level - AROUND_STOREY_M / metres
         high[2] = min(above, default=np.inf) + AROUND_STOREY_M / metres
     if space:
@@ -294,6 +305,17 @@ def _bounds_in_model(model: Any, geom: Any, settings: Any, storey: str, space: s
         low = np.maximum(low, vertices.min(axis=0) - AROUND_SPACE_M / metres)
         high = np.minimum(high, vertices.max(axis=0) + AROUND_SPACE_M / metres)
     return low, high
+
+
+def storey_levels(model: Any) -> list[tuple[float, Any]]:
+    """Return z of each storey of a building model, in its unit, and the storey; lowest first."""
+    from ifcopenshell.util.placement import get_storey_elevation
+    storeys = model.by_type('IfcBuildingStorey')
+    levels = [float(get_storey_elevation(storey)) for storey in storeys]
+    # Some programs place all storeys at one level, and write only their elevations.
+    if len(levels) > 1 and len(set(levels)) == 1:
+        levels = [level + (one.Elevation or 0.0) for level, one in zip(levels, storeys)]
+    return sorted(zip(levels, storeys), key=lambda item: item[0])
 
 
 def _named(items: list[Any], name: str, what: str) -> Any:
@@ -339,48 +361,6 @@ def _clipped(corners: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarr
     return corners
 
 
-def usd_rows(path: str) -> Iterator[np.ndarray]:
-    """Yield the visible meshes and cubes of a USD stage: a row of its frame, and triangles."""
-    from pxr import Usd, UsdGeom
-    stage = Usd.Stage.Open(path)
-    if errors := stage.GetCompositionErrors():
-        raise ValueError(f'found a part that cannot be read ({str(errors[0])[:120]}); expected '
-                         'files in the folder of the stage; copy them there')
-    yield _frame_row(UsdGeom.GetStageMetersPerUnit(stage),
-                     'xyz'.index(UsdGeom.GetStageUpAxis(stage).lower()))
-    transforms = UsdGeom.XformCache()
-    for prim in Usd.PrimRange(stage.GetPseudoRoot(), Usd.TraverseInstanceProxies()):
-        image = UsdGeom.Imageable(prim)
-        if not image or image.ComputePurpose() in ('guide', 'proxy') or (
-                image.ComputeVisibility() == 'invisible'):
-            continue
-        if prim.IsA(UsdGeom.Mesh):
-            corners = _corners_of_mesh(UsdGeom.Mesh(prim))
-        elif prim.IsA(UsdGeom.Cube):
-            half = 0.5 * UsdGeom.Cube(prim).GetSizeAttr().Get()
-            corners = _triangles(box_faces(np.full(3, -half), np.full(3, half)))
-        else:
-            continue
-        # Matrices of USD are those of row vectors.
-        matrix = np.array(transforms.GetLocalToWorldTransform(prim))
-        yield (corners.reshape(-1, 3) @ matrix[:3, :3] + matrix[3, :3]).reshape(-1, 9)
-
-
-def _corners_of_mesh(mesh: Any) -> np.ndarray:
-    """Return the triangles (T, 3, 3) of a mesh of polygons."""
-    points = np.array(mesh.GetPointsAttr().Get() or [], dtype=np.float64).reshape(-1, 3)
-    counts = np.array(mesh.GetFaceVertexCountsAttr().Get() or [], dtype=np.int64)
-    indices = np.array(mesh.GetFaceVertexIndicesAttr().Get() or [], dtype=np.int64)
-    if counts.sum() != len(indices) or (counts < 0).any() or (
-            len(indices) and not 0 <= indices.min() <= indices.max() < len(points)):
-        raise ValueError('faces with vertices that are not there')
-    # A polygon of n corners is a fan of n - 2 triangles around its first corner.
-    fans = np.maximum(counts - 2, 0)
-    first = np.repeat(np.cumsum(counts) - counts, fans)
-    number = np.arange(fans.sum()) - np.repeat(np.cumsum(fans) - fans, fans)
-    return points[indices[np.stack([first, first + number + 1, first + number + 2], axis=1)]]
-
-
-def _frame_row(metres: float, up: int) -> np.ndarray:
+def frame_row(metres: float, up: int) -> np.ndarray:
     """Return the row (1, 9) of the frame of a file."""
     return np.array([[metres, up, 0, 0, 0, 0, 0, 0, 0]], dtype=np.float64)

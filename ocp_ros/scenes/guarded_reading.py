@@ -31,7 +31,7 @@ import sys
 from types import SimpleNamespace
 
 import numpy as np
-from ocp_ros.scenes import building_files, gltf_files
+from ocp_ros.scenes import building_files, gltf_files, usd_files
 from ocp_ros.util.guarded_process import confine, GuardedProcess, limit, ReadingCost
 
 #: The limits of each kind of file: bytes of memory, more bytes of memory per byte of the file, and
@@ -169,14 +169,17 @@ def ply_rows(path: str, *columns: str) -> Iterator[np.ndarray]:
 
 #: The reader of each kind, and the packages that it imports before the process gives up its
 #: rights.
-READERS = {'dxf': (building_files.dxf_rows, 'ezdxf', 'ezdxf.path'), 'e57': (e57_rows, 'pye57'),
+READERS = {'dxf': (building_files.dxf_rows, 'ezdxf', 'ezdxf.path', 'encodings', 'encodings.big5',
+                   'encodings.cp932', 'encodings.cp949', 'encodings.gbk'),
+           'e57': (e57_rows, 'pye57'),
            'gltf': (gltf_rows,),
            'ifc': (building_files.ifc_rows, 'ifcopenshell', 'ifcopenshell.geom',
+                   'ifcopenshell.util.element', 'ifcopenshell.util.placement',
                    'ifcopenshell.util.unit'),
            'las': (las_rows, 'laspy', 'lazrs', 'laszip'),
            'mesh': (mesh_rows, 'open3d'),
            'ply': (ply_rows, 'plyfile', 'encodings.ascii'),
-           'usd': (building_files.usd_rows, 'pxr', 'pxr.UsdGeom')}
+           'usd': (usd_files.usd_rows, 'pxr', 'pxr.UsdGeom')}
 
 
 def main(arguments: list[str]) -> int:

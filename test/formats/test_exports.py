@@ -17,6 +17,7 @@
 from dataclasses import replace
 import io
 import json
+from types import SimpleNamespace
 import xml.etree.ElementTree as ElementTree
 
 from conftest import box_room, refused_in_one_sentence
@@ -35,6 +36,7 @@ from ocp_ros.rig.placement_file import placement_of
 from ocp_ros.rig.rig_file import rig_of
 from ocp_ros.rooms.scene_source import room_named
 from ocp_ros.scenes.scene import Scene
+from ocp_ros.scenes.source_frame import map_from_file, SourceFrame
 import pytest
 
 POSES = np.array([[2.0, 2.0, 2.2, 0.3, 0.4, 0.1], [1.0, 3.0, 1.7, 3.5, -0.5, 0.0]])
@@ -293,3 +295,56 @@ def test_a_building_model_has_the_cameras_in_its_storey(in_a_room, tmp_path):
     found = placement.get_local_placement(sensors[2].ObjectPlacement)[:3, 3]
     there = np.array(moved.cameras[0].position) + [5.0, 0.0, 0.0]
     assert found == pytest.approx(1000.0 * there)
+
+
+@pytest.mark.parametrize('schema', ['IFC2X3', 'IFC4X3'])
+def test_a_building_on_a_hill_has_the_cameras_in_their_storey(exported, schema, tmp_path):
+    ifcopenshell = pytest.importorskip('ifcopenshell', reason='ifcopenshell reads IFC files')
+    from ifcopenshell.api import run
+    from ifcopenshell.util import element, placement
+    model = run('project.create_file', version=schema)
+    run('owner.add_application', model, application_developer=run('owner.add_organisation', model))
+    run('owner.add_person_and_organisation', model, person=run('owner.add_person', model),
+        organisation=model.by_type('IfcOrganization')[0])
+    above = run('root.create_entity', model, ifc_class='IfcProject')
+    run('unit.assign_unit', model, length={'is_metric': True, 'raw': 'METERS'})
+    run('context.add_context', model, context_type='Model')
+    for kind, name, z in (('IfcBuilding', 'house', 98.0), ('IfcBuildingStorey', 'lower', 98.0),
+                          ('IfcBuildingStorey', 'upper', 101.0)):
+        inner = run('root.create_entity', model, ifc_class=kind, name=name)
+        run('aggregate.assign_object', model, products=[inner], relating_object=above)
+        matrix = np.eye(4)
+        matrix[2, 3] = z
+        run('geometry.edit_object_placement', model, product=inner, matrix=matrix)
+        if kind == 'IfcBuilding':
+            above = inner
+        else:
+            # The elevation is that above the floor of the building.
+            inner.Elevation = z - 98.0
+    path, up = tmp_path / 'house.ifc', np.eye(4)
+    up[2, 3] = 98.0
+    model.write(str(path))
+    path.write_text(ifc_of(Exported(replace(
+        exported.original, room={'file': str(path), 'source_from_map': up.tolist()}))))
+    read = ifcopenshell.open(path)
+    for sensor, placed in zip(read.by_type('IfcDistributionControlElement'),
+                              exported.placement.cameras, strict=True):
+        assert (sensor.Name, sensor.ObjectType) == (placed.camera.name, 'DEPTH_CAMERA')
+        assert element.get_container(sensor).Name == 'lower'
+        np.testing.assert_allclose(placement.get_local_placement(sensor.ObjectPlacement),
+                                   up @ pose_matrix(placed), atol=1e-6)
+        settings = ifcopenshell.geom.settings()
+        body = ifcopenshell.geom.create_shape(settings, sensor).geometry
+        assert np.ptp(np.array(body.verts).reshape(-1, 3), axis=0).max() < 0.2
+
+
+@pytest.mark.parametrize(('text_of', 'name'), [
+    (usd_of, 'usd'), (gltf_of, 'gltf'), (metropolis_of, 'metropolis'), (dxf_of, 'dxf'),
+    (ifc_of, 'ifc')])
+def test_formats_with_z_up_refuse_the_axes_of_a_scan_with_y_up(exported, text_of, name):
+    pytest.importorskip('ezdxf')
+    pytest.importorskip('ifcopenshell')
+    frame = SourceFrame(rotation=map_from_file('y'))
+    room = SimpleNamespace(scene=SimpleNamespace(source=frame), data_frame=frame)
+    with refused_in_one_sentence(f'{name}: ', 'leave out --frame source'):
+        text_of(replace(exported, assessed=room))

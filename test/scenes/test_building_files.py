@@ -38,8 +38,12 @@ def has_points_near(scene, point, distance=0.1):
     return bool((np.linalg.norm(scene.points - point, axis=1) < distance).any())
 
 
-def write_map(folder, **changes):
-    """Write an occupancy map with cells of 5 cm, unknown outside of the walls."""
+def write_map(folder, look=None, **changes):
+    """
+    Write an occupancy map with cells of 5 cm, unknown outside of the walls.
+
+    :param look: returns the image of the map, given its pixels: 0, 205 or 254.
+    """
     pixels = np.full((110, 140), 205, dtype=np.uint8)
     pixels[8:102, 8:132] = 0
     pixels[10:100, 10:130] = 254
@@ -47,6 +51,8 @@ def write_map(folder, **changes):
     pixels[64:80, 50:80] = 0
     pixels[66:78, 52:78] = 205
     Image.fromarray(pixels).save(folder / 'map.pgm')
+    if look:
+        look(pixels).save(folder / changes['image'])
     values = {'image': 'map.pgm', 'resolution': 0.05, 'origin': [-0.5, -0.5, 0.0], 'negate': 0,
               'occupied_thresh': 0.65, 'free_thresh': 0.196} | changes
     path = folder / 'map.yaml'
@@ -64,6 +70,22 @@ def test_occupancy_map_has_walls_of_the_given_height(tmp_path):
     assert np.ptp(turned.points[:, 0]) == pytest.approx(4.5, abs=0.02)
 
 
+@pytest.mark.parametrize(('look', 'changes'), [
+    (lambda pixels: Image.fromarray(255 - pixels), {'image': 'map.bmp', 'negate': 'true'}),
+    # map_saver writes what is unknown transparent, or as 255 in place of a percentage.
+    (lambda pixels: Image.merge('LA', [
+        Image.fromarray(np.where(pixels == 205, 0, pixels)),
+        Image.fromarray(np.where(pixels == 205, 0, 255).astype(np.uint8))]),
+     {'image': 'map.png', 'mode': 'scale'}),
+    (lambda pixels: Image.fromarray(np.choose(
+        np.searchsorted([0, 205, 254], pixels), [100, 255, 0]).astype(np.uint8)),
+     {'image': 'map.png', 'mode': 'raw', 'negate': 1})], ids=['negate', 'scale', 'raw'])
+def test_every_way_to_write_a_map_has_the_same_walls(tmp_path, look, changes):
+    expected = load_scene(write_map(tmp_path), height=2.5)
+    found = load_scene(write_map(tmp_path, look, **changes), height=2.5)
+    np.testing.assert_array_equal(found.points, expected.points)
+
+
 def test_maps_that_are_noise_or_wait_for_ever_are_refused(tmp_path):
     os.mkfifo(tmp_path / 'pipe.pgm')
     pixels = np.random.default_rng(0).integers(2, size=(1000, 1000), dtype=np.uint8)
@@ -73,23 +95,31 @@ def test_maps_that_are_noise_or_wait_for_ever_are_refused(tmp_path):
             load_scene(write_map(tmp_path, image=image), height=2.5)
 
 
-def test_floor_plan_in_millimetres(tmp_path):
+@pytest.mark.parametrize('version', ['R2000', 'R2010'])
+def test_floor_plan_in_millimetres(tmp_path, version):
     ezdxf = pytest.importorskip('ezdxf')
-    plan = ezdxf.new(units=ezdxf.units.MM)
+    # Texts of R2000 are in a code page of Windows.
+    plan = ezdxf.new(version, units=ezdxf.units.MM)
     block = plan.blocks.new('OFFICE')
     for edge in (0, 150):
         block.add_lwpolyline([(-edge, -edge), (6000 + edge, -edge), (6000 + edge, 4500 + edge),
                               (-edge, 4500 + edge)], close=True)
     model = plan.modelspace()
     model.add_blockref('OFFICE', (0, 0), dxfattribs={'layer': 'A-WALL'})
-    model.add_circle((4500, 3000), 200, dxfattribs={'layer': 'A-WALL'})
+    plan.blocks.new('COLUMN').add_circle((0, 0), 200)
+    model.add_blockref('COLUMN', (4500, 1500), dxfattribs={
+        'layer': 'Wände', 'row_count': 2, 'row_spacing': 1500})
     model.add_line((1000, 0), (1000, 4500), dxfattribs={'layer': 'GRID'})
+    plan.layers.add('WALL-OLD').freeze()
+    model.add_line((3000, 0), (3000, 4500), dxfattribs={'layer': 'WALL-OLD'})
     path = tmp_path / 'plan.dxf'
     plan.saveas(path)
     scene = load_scene(path, height=2.7)
     check_room(scene)
-    assert has_points_near(scene, (4.3, 3.0, 1.5)) and not has_points_near(scene, (1, 2, 1.5))
-    with pytest.raises(SceneError, match=r'A-WALL, GRID; expected FURNITURE.*--layers'):
+    assert has_points_near(scene, (4.3, 3.0, 1.5)) and has_points_near(scene, (4.3, 1.5, 1.5))
+    assert not has_points_near(scene, (1, 2, 1.5)) and not has_points_near(scene, (3, 2, 1.5))
+    assert has_points_near(load_scene(path, height=2.7, layers='a-wall,wall-old'), (3, 2, 1.5))
+    with pytest.raises(SceneError, match=r'A-WALL, GRID, .*; expected FURNITURE.*--layers'):
         load_scene(path, height=2.7, layers='FURNITURE')
 
 
@@ -166,6 +196,19 @@ def test_building_model(house, options, low, high):
     assert not has_points_near(scene, (-0.08, 2.2, low[2] + 1.5), 0.05)
 
 
+def test_storeys_of_a_building_on_a_hill(house, tmp_path):
+    import ifcopenshell
+    from ifcopenshell.api import run
+    model = ifcopenshell.open(house)
+    for product in model.by_type('IfcElement') + model.by_type('IfcBuildingStorey'):
+        matrix = np.eye(4)
+        matrix[2, 3] = 98.0 + 0.001 * getattr(product, 'Elevation', 0.0)
+        run('geometry.edit_object_placement', model, product=product, matrix=matrix)
+    model.write(str(tmp_path / 'hill.ifc'))
+    check_room(load_scene(tmp_path / 'hill.ifc', storey='First'), (-0.2, 0, 101),
+               (6.02, 4.5, 103.7), 0.07)
+
+
 def test_building_model_without_the_named_storey(house):
     with pytest.raises(SceneError, match='Ground, First; correct --storey'):
         load_scene(house, storey='Attic')
@@ -198,6 +241,40 @@ def test_stage_in_centimetres_with_a_part_in_another_file(tmp_path):
     (tmp_path / 'box.usdc').unlink()
     with pytest.raises(SceneError, match='box.usdc.*copy them there'):
         load_scene(tmp_path / 'room.usda')
+
+
+def test_stage_with_instances_movement_and_simple_solids(tmp_path):
+    pxr = pytest.importorskip('pxr.UsdGeom') and pytest.importorskip('pxr')
+    usd, geom, gf = pxr.Usd, pxr.UsdGeom, pxr.Gf
+    stage = usd.Stage.CreateNew(str(tmp_path / 'room.usdc'))
+    geom.SetStageUpAxis(stage, geom.Tokens.z)
+    geom.SetStageMetersPerUnit(stage, 1.0)
+    root = geom.Xform.Define(stage, '/room')
+    walls = geom.Cube.Define(stage, '/room/walls')
+    walls.CreateSizeAttr(1.0)
+    walls.AddTranslateOp().Set(gf.Vec3d(*(0.5 * SIZE)))
+    walls.AddScaleOp().Set(gf.Vec3f(*SIZE))
+    column = geom.Cylinder.Define(stage, '/room/column')
+    column.CreateRadiusAttr(0.2)
+    column.CreateHeightAttr(SIZE[2])
+    # The only values of this translation are those of two times.
+    moved = column.AddTranslateOp()
+    moved.Set(gf.Vec3d(5.0, 3.5, 0.5 * SIZE[2]), 1.0)
+    moved.Set(gf.Vec3d(1.0, 3.5, 0.5 * SIZE[2]), 24.0)
+    tables = geom.PointInstancer.Define(stage, '/room/tables')
+    geom.Xform.Define(stage, '/room/tables/kinds').AddTranslateOp().Set(gf.Vec3d(0.0, 0.0, 9.0))
+    geom.Cube.Define(stage, '/room/tables/kinds/table').CreateSizeAttr(0.6)
+    tables.CreatePrototypesRel().AddTarget('/room/tables/kinds/table')
+    tables.CreateProtoIndicesAttr([0, 0, 0])
+    tables.CreatePositionsAttr([gf.Vec3f(x, 1.0, 0.3) for x in (1.5, 3.0, 4.5)])
+    tables.CreateInvisibleIdsAttr([1])
+    root.AddTranslateOp().Set(gf.Vec3d(2.0, 0.0, 0.0))
+    stage.GetRootLayer().Save()
+    scene = load_scene(tmp_path / 'room.usdc')
+    check_room(scene, (2.0, 0.0, 0.0), SIZE + (2.0, 0.0, 0.0))
+    shown = [has_points_near(scene, point) for point in (
+        (6.8, 3.5, 1.4), (2.8, 3.5, 1.4), (3.5, 1.0, 0.6), (5.0, 1.0, 0.6), (6.5, 1.0, 0.6))]
+    assert shown == [True, False, True, False, True]
 
 
 @pytest.mark.parametrize(('changes', 'options', 'message'), [
