@@ -18,7 +18,8 @@ Measure under which conditions ``ocp calibrate`` finds cameras, and false alarms
     python -m benchmarks.calibration_conditions --record
 
 One condition is changed at a time. With a scan from tripods: the first guess, the frames and the
-people. Without a scan, of two cameras: the share of points that both see, and the angle between
+people; and of a camera that sees one bare wall, whether a box was set down where another one sees
+it too. Without a scan, of two cameras: the share of points that both see, and the angle between
 their directions. ``--record`` also writes docs/reference/calibration_conditions.md.
 """
 
@@ -36,19 +37,22 @@ from benchmarks.calibration_bench import (
     add_lines,
     BOTH,
     CAMERAS,
+    cast,
     generated,
     likely_in,
     lines_of,
     MUTUAL,
     off,
+    POINTS,
     ROOMS,
     row_of,
     shared_by,
     START,
 )
 import numpy as np
-from ocp_ros.geometry.cameras import heading_of
+from ocp_ros.geometry.cameras import heading_of, Pose
 from ocp_ros.registration.calibration import calibrate
+from ocp_ros.registration.carried import set_down
 from ocp_ros.registration.joint_alignment import relative_pose
 from ocp_ros.registration.live_view import LiveView
 from ocp_ros.registration.movement import movement_since
@@ -58,6 +62,12 @@ from ocp_ros.registration.steady_cloud import steady_cloud
 from ocp_ros.rig.placement_file import placement_of
 from ocp_ros.rig.rig_file import rig_of
 from ocp_ros.rig.sensors import SENSORS
+from ocp_ros.rooms.furniture import Solid
+from ocp_ros.rooms.generator import mesh_of
+from ocp_ros.rooms.generator import scan as scan_of
+from ocp_ros.rooms.room_plan import RoomPlan
+from ocp_ros.scenes.meshes import MeshRays
+from ocp_ros.scenes.scene import Scene
 from ocp_ros.util.files import write_atomically
 
 PAGE = results.ROOT / 'docs' / 'reference' / 'calibration_conditions.md'
@@ -72,6 +82,9 @@ OVERLAPS, ANGLES, WITHIN = (0.1, 0.2, 0.4), (30.0, 60.0, 90.0), (0.04, 12.0)
 COMMON = 0.25, 0.6
 #: Poses of which pairs are chosen, pairs of a room for each value.
 LIKELY, PAIRS = 24, 3
+#: A hall with bare walls, and a box, metres; at how many places it is set down; frames at each,
+#: and before; and how often.
+HALL, BOX, PLACES, STANDS, EMPTY, DRAWS = (14.0, 4.0, 2.6), (0.4, 0.5, 0.4), 8, 2, 4, 3
 #: Frames of a check for movements, as many as policy_node keeps.
 CHECKED = 10
 
@@ -97,6 +110,7 @@ TABLES = {
     'people': Table('People who walk about, with a scan', 'people in a frame', ('0', '1', '3')),
     'overlap': Table('Common points of two cameras, without a scan', 'points in common',
                      tuple(f'{100.0 * share:.0f} %' for share in OVERLAPS)),
+    'box': Table('A camera that sees one bare wall, with a scan', 'remedy', ('none', '`--box`')),
     'angle': Table('Angle between two cameras, without a scan', 'angle',
                    tuple(f'{angle:g}°' for angle in ANGLES))}
 
@@ -127,6 +141,51 @@ def with_scan(seed: int, sensor: str) -> Iterator[dict]:
                 yield from (row_for(*condition, sensor, seconds, row_of(found[name], pose)
                                     if name in found else {'refused': 'no surfaces'})
                             for name, pose in zip(names, room.hangs))
+
+
+def hall(*solids: Solid) -> RoomPlan:
+    """Return a hall with bare walls and some solids."""
+    return RoomPlan('hallway', np.array(HALL), np.random.default_rng(0), [*solids])
+
+
+def hung_in_hall(rng: np.random.Generator) -> list[Pose]:
+    """Hang two cameras in the hall: one sees an end of it, the other the floor and one wall."""
+    return [Pose.of(np.array([
+        x + rng.uniform(-0.2, 0.2), 0.3, 2.2, np.deg2rad(rng.uniform(low, low + 6.0)),
+        np.deg2rad(25.0), 0.0])) for x, low in ((3.2, 98.0), (5.2, 87.0))]
+
+
+def with_box(poses: Sequence[Pose], sensor: str, places: int, rng: np.random.Generator
+             ) -> list[list[np.ndarray]]:
+    """Return frames of each camera in the hall, of the same moments, as a box is set down."""
+    devices = rng.integers(1 << 31, size=len(poses)).tolist()
+    solids = [Solid('clutter', np.array([*rng.uniform((3.6, 2.0), (4.8, 3.4)), 0.5 * BOX[2]]),
+                    np.array(BOX), rng.uniform(0.0, 6.0)) for _ in range(places)]
+    # A person walks through the empty hall, and steps out of view when the box stands.
+    steps = [(hall(), EMPTY, PEOPLE), *((hall(solid), STANDS, 0) for solid in solids)]
+    return [[frame for plan, frames, people in steps for frame in cast(
+        MeshRays(mesh_of(plan)), pose, sensor, frames, people, rng, device)]
+            for pose, device in zip(poses, devices)]
+
+
+def along_wall(seed: int, sensor: str) -> Iterator[dict]:
+    """Yield what becomes of a camera that sees one bare wall, with and without a box."""
+    rng = errors_of(seed, sensor)
+    scan = ScanSurfaces(Scene(scan_of(hall(), POINTS, rng)[0]))
+    for _ in range(DRAWS):
+        poses = hung_in_hall(rng)
+        frames = with_box(poses, sensor, PLACES, rng)
+        placement = placement_of(rig_of(2, sensor), np.array(
+            [[*start.position, *heading_of(start.rotation)]
+             for start in (off(pose, *START, rng) for pose in poses)]))
+        names = [placed.camera.name for placed in placement.cameras]
+        clouds = {name: steady_cloud(one) for name, one in zip(names, frames)}
+        seen = {name: set_down(one, clouds[name]) for name, one in zip(names, frames)}
+        for value, given in zip(TABLES['box'].values, (None, seen)):
+            begin = time.process_time()
+            found, _ = calibrate(scan, placement, clouds, seen=given)
+            yield row_for('box', value, sensor, (time.process_time() - begin) / 2.0,
+                          row_of(found[names[1]], poses[1]))
 
 
 def errors_of(seed: int, sensor: str) -> np.random.Generator:
@@ -264,7 +323,8 @@ def main(argv: list[str] | None = None) -> int:
     rows = lines_of(arguments, {
         f'{part.__name__} {seed} {sensor}': (_rows_of, part, seed, sensor, *more)
         for seed in ROOMS[arguments.set][arguments.first:][:arguments.rooms] for sensor in BOTH
-        for part, more in ((with_scan, ()), (without_scan, ()), (still, (arguments.draws,)))})
+        for part, more in ((with_scan, ()), (along_wall, ()), (without_scan, ()),
+                           (still, (arguments.draws,)))})
     checks = [row for row in rows if row['table'] == 'still']
     figures = {'conditions': figures_of(rows), 'still': {
         'cameras': len(checks), **{key: sum(row[key] for row in checks)

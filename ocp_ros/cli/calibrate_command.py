@@ -15,9 +15,9 @@
 """``ocp calibrate``: find the true poses of cameras from their clouds and a scan of the room."""
 
 import argparse
-from collections.abc import Iterable, Sequence
+from collections.abc import Hashable, Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any, TYPE_CHECKING
 
 from ocp_ros.cli.arguments import (
     add_export,
@@ -42,6 +42,7 @@ from ocp_ros.util.settings import check_known, ConfigurationError
 
 if TYPE_CHECKING:
     import numpy as np
+    from ocp_ros.registration.carried import Seen
 
 
 #: The file with what all cameras see together, without a scan.
@@ -71,6 +72,9 @@ def add_arguments(commands: Commands) -> None:
     command.add_argument('--distance', nargs='+', default=(), metavar='CAMERA:OTHER=METRES',
                          help='measured distances between two cameras, from the middle of one to '
                          'that of the other, to 5 mm')
+    command.add_argument('--box', action='store_true', help='a box was set down at some places '
+                         'that several cameras see, each for two frames or more; frames with the '
+                         'same file name, or the same time in a bag, are of the same moment')
     command.add_argument('--near', type=read_distance, metavar='METRES', help='how far cameras '
                          'are from their poses in PLACEMENT at most; default: 1.6')
     command.add_argument('--topics', nargs='+', default=(), metavar='CAMERA=TOPIC',
@@ -120,11 +124,11 @@ def run(arguments: argparse.Namespace) -> Found:
     if path := arguments.placement or arguments.against:
         placement = load_placement(path, rig)
     names = [placed.camera.name for placed in placement.cameras] if placement else None
-    clouds = clouds_of(arguments, names)
+    clouds, seen = clouds_of(arguments, names)
     folder_to_write(arguments.out)
     command, measured = command_of(arguments.argv), _distances(arguments.distance, clouds)
     if placement is None:
-        found = without_scan(clouds, arguments.sensor or '', command, measured)
+        found = without_scan(clouds, arguments.sensor or '', command, measured, seen)
     elif arguments.against:
         references = load_references(arguments.against.with_name(REFERENCES))
         found = since_reference(placement, references, clouds, command)
@@ -133,7 +137,7 @@ def run(arguments: argparse.Namespace) -> Found:
         points = 120_000 if arguments.room.isdecimal() else 0
         scene, _ = room_asked(arguments, {**placement.room, 'points': points})
         near = {'near': arguments.near} if arguments.near else {}
-        found = by_scan(scene, placement, clouds, command, measured, **near)
+        found = by_scan(scene, placement, clouds, command, measured, seen=seen, **near)
     rows = found.rows
     result: Found = {'cameras': rows, 'written': []}
     # Write the files, without refused cameras except for the placement.
@@ -182,7 +186,8 @@ def _check_mode(arguments: argparse.Namespace) -> None:
             'register cameras to each other; name what you have')
     for option, value, fits, others in (
             ('--near', arguments.near, arguments.room, 'ROOM and PLACEMENT'),
-            ('--distance', arguments.distance, not arguments.against, 'cameras to be registered')):
+            ('--distance', arguments.distance, not arguments.against, 'cameras to be registered'),
+            ('--box', arguments.box, not arguments.against, 'cameras to be registered')):
         if value and not fits:
             raise ConfigurationError(f'{option}: found it without {others}; expected both; leave '
                                      'it out')
@@ -222,28 +227,53 @@ def show(result: Found) -> None:
 
 
 def clouds_of(arguments: argparse.Namespace, names: Sequence[str] | None
-              ) -> 'dict[str, np.ndarray]':
+              ) -> 'tuple[dict[str, np.ndarray], Seen]':
     """
-    Read the clouds of cameras.
+    Read the clouds of cameras, and with ``box`` what was set down in their views.
 
     :param arguments: with ``cloud_frame``, and with ``clouds``, or ``bag`` and ``topics``.
     :param names: names of the cameras; None if the clouds name them.
-    :returns: by camera, the N points of its cloud: (N, 3) metres, body frame (x forward, z up).
+    :returns: by camera, the N points of its cloud: (N, 3) metres, body frame (x forward, z up);
+        and by camera and moment, the points of each thing that was set down.
     :raises ConfigurationError: if the camera of a cloud is not clear, or there is no cloud.
     """
-    from ocp_ros.geometry.cameras import TO_BODY
+    from ocp_ros.registration.carried import moments_of, set_down
     from ocp_ros.registration.steady_cloud import steady_cloud
+    clouds: dict[str, np.ndarray] = {}
+    seen: dict[str, dict[Hashable, list[np.ndarray]]] = {}
+    times: list[int] = []
+    for name, frames in _frames_of(arguments, names):
+        clouds[name] = steady_cloud([*frames.values()])
+        if arguments.box:
+            moments = list(frames)
+            if arguments.bag:
+                moments = moments_of(moments, times)
+                times += moments
+            seen[name] = {moments[k]: things for k, things in set_down(
+                [*frames.values()], clouds[name]).items()}
+    if arguments.box and not any(seen.values()):
+        raise ConfigurationError(
+            '--box: found nothing that was set down for two frames; expected a box at another '
+            'place in some frames; save at least two frames of it at each place')
+    return clouds, seen
+
+
+def _frames_of(arguments: argparse.Namespace, names: Sequence[str] | None
+               ) -> 'Iterator[tuple[str, dict[Any, np.ndarray]]]':
+    """Yield cameras and their frames by file name or time; see :func:`clouds_of`."""
+    from ocp_ros.geometry.cameras import TO_BODY
     from ocp_ros.scenes.scene_files import load_cloud
     if arguments.bag:
         if names is None:
             names = [text.partition('=')[0] for text in arguments.topics]
         try:
-            from ocp_ros.ros.bags.recorded_clouds import recorded_clouds
+            from ocp_ros.ros.bags.recorded_clouds import recorded_frames
         except ImportError as error:
             raise no_ros('--bag', error) from error
         topics = dict(_split_pair(text, '--topics', 'TOPIC') for text in arguments.topics)
         check_known(topics, names, '--topics')
-        return recorded_clouds(arguments.bag, names, topics, arguments.cloud_frame)
+        yield from recorded_frames(arguments.bag, names, topics, arguments.cloud_frame)
+        return
     if arguments.topics:
         raise ConfigurationError('--topics: found it without --bag; expected both; name the bag')
     files: dict[str, Path] = {}
@@ -258,8 +288,8 @@ def clouds_of(arguments: argparse.Namespace, names: Sequence[str] | None
     if names is not None:
         check_known(files, names, '--clouds, cameras')
     rotation = TO_BODY[arguments.cloud_frame or 'optical']
-    return {name: steady_cloud([load_cloud(one) for one in _frames_in(path)]) @ rotation.T
-            for name, path in files.items()}
+    for name, path in files.items():
+        yield name, {one.name: load_cloud(one) @ rotation.T for one in _frames_in(path)}
 
 
 def _frames_in(path: Path) -> list[Path]:

@@ -130,7 +130,8 @@ class Matches(NamedTuple):
     indices: np.ndarray
 
 
-def matches_of(surfaces: Surfaces, patches: Patches, poses: Poses, max_distance: float) -> Matches:
+def matches_of(surfaces: Surfaces, patches: Patches, poses: Poses, max_distance: float,
+               layers: np.ndarray | None = None) -> Matches:
     """
     Return the match of each measured point: the nearest surface point, if it is suitable.
 
@@ -140,10 +141,13 @@ def matches_of(surfaces: Surfaces, patches: Patches, poses: Poses, max_distance:
     :param patches: the measured points of the camera.
     :param poses: the poses of the camera.
     :param max_distance: the largest distance between a point and its match, metres.
+    :param layers: (M,) a fourth coordinate of the points, where the tree has one.
     """
     offsets = np.einsum('sij,mj->smi', poses.rotations, patches.points)
     positions = offsets + poses.positions[:, None]
-    distance, index = surfaces.tree.query(positions, distance_upper_bound=max_distance)
+    placed = positions if layers is None else np.concatenate(
+        [positions, np.broadcast_to(layers[:, None], (*positions.shape[:2], 1))], axis=2)
+    distance, index = surfaces.tree.query(placed, distance_upper_bound=max_distance)
     # Without a match, the tree returns the distance inf and an index after the last point.
     found = np.isfinite(distance)
     index = np.where(found, index, 0)

@@ -41,6 +41,7 @@ from ocp_ros.registration.camera_registration import (
     registered_nearby,
     Registration,
 )
+from ocp_ros.registration.carried import carried_by, Seen
 from ocp_ros.registration.live_view import LiveView
 from ocp_ros.registration.movement import movements_since, sentence_of, way_back
 from ocp_ros.registration.mutual_registration import register_mutually
@@ -79,7 +80,8 @@ _log = logging.getLogger(__name__)
 
 def calibrate(scan: ScanSurfaces, placement: Placement, clouds: Mapping[str, np.ndarray],
               jointly: bool = True, measured: Mapping[tuple[str, str], float] | None = None,
-              near: float = FARTHEST_M) -> tuple[dict[str, Registration], dict[str, str]]:
+              near: float = FARTHEST_M, seen: Seen | None = None
+              ) -> tuple[dict[str, Registration], dict[str, str]]:
     """
     Register each camera that has a cloud, starting at its pose in the placement.
 
@@ -90,6 +92,8 @@ def calibrate(scan: ScanSurfaces, placement: Placement, clouds: Mapping[str, np.
     :param jointly: whether cameras are registered to each other as well.
     :param measured: measured distances between two cameras, metres, by their names.
     :param near: how far a camera is from its pose in the placement at most, metres.
+    :param seen: what was set down in the views of cameras,
+        see :func:`~ocp_ros.registration.carried.carried_by`.
     :returns: the registrations, and for unusable clouds the reasons, both by the camera's name.
     """
     registrations, reasons = _for_each_camera(
@@ -99,7 +103,11 @@ def calibrate(scan: ScanSurfaces, placement: Placement, clouds: Mapping[str, np.
     if jointly:
         models = {one.camera.name: one.camera.model for one in placement.cameras}
         views = {name: (LiveView(used[name], models[name], name), models[name]) for name in found}
-        found = register_together(scan, views, found, measured)
+        # Of a camera whose cloud was turned, scaled or exchanged, it is left out.
+        carried = carried_by({name: one for name, one in (seen or {}).items()
+                              if used.get(name) is clouds.get(name)},
+                             {name: models[name] for name in found})
+        found = register_together(scan, views, found, measured, carried)
     return found, reasons
 
 
@@ -233,15 +241,15 @@ class Calibrated(NamedTuple):
 
 
 def by_scan(scene: Scene, placement: Placement, clouds: Mapping[str, np.ndarray], command: str,
-            measured: Mapping[tuple[str, str], float] | None = None, near: float = FARTHEST_M
-            ) -> Calibrated:
+            measured: Mapping[tuple[str, str], float] | None = None, near: float = FARTHEST_M,
+            seen: Seen | None = None) -> Calibrated:
     """
     Register cameras to a scan and to each other; see :func:`calibrate`.
 
     :param command: the command line, for the record.
     """
     found, failures = calibrate(ScanSurfaces(scene), placement, clouds, measured=measured,
-                                near=near)
+                                near=near, seen=seen)
     rows = [answer_of(placed, found[name]) if (name := placed.camera.name) in found else
             {'camera': name, 'refused': failures.get(name, 'it has no cloud')}
             for placed in placement.cameras]
@@ -252,7 +260,8 @@ def by_scan(scene: Scene, placement: Placement, clouds: Mapping[str, np.ndarray]
 
 
 def without_scan(clouds: Mapping[str, np.ndarray], sensor: str, command: str,
-                 measured: Mapping[tuple[str, str], float] | None = None) -> Calibrated:
+                 measured: Mapping[tuple[str, str], float] | None = None,
+                 seen: Seen | None = None) -> Calibrated:
     """
     Register cameras to each other.
 
@@ -260,6 +269,7 @@ def without_scan(clouds: Mapping[str, np.ndarray], sensor: str, command: str,
     :param sensor: the preset of all cameras; '' to measure field of view and range in the clouds.
     :param command: the command line, for the record.
     :param measured: measured distances between two cameras, metres, by their names.
+    :param seen: see :func:`calibrate`.
     :raises ConfigurationError: if the sensor is unknown, or fewer than two cameras agree.
     """
     if sensor:
@@ -267,7 +277,8 @@ def without_scan(clouds: Mapping[str, np.ndarray], sensor: str, command: str,
     models = {name: SENSORS[sensor].model if sensor else model_of_cloud(cloud)
               for name, cloud in clouds.items()}
     views, reasons = views_of(clouds, models)
-    found, failures = register_mutually(views, measured)
+    found, failures = register_mutually(views, measured, carried=carried_by(
+        seen or {}, {name: models[name] for name in views}))
     reasons |= failures
     placed, rows, fused = [], [], []
     for name in clouds:

@@ -46,6 +46,14 @@ from ocp_ros.registration.alignment import (
     Surfaces,
     weights_of,
 )
+from ocp_ros.registration.carried import (
+    Carried,
+    is_contradicted,
+    MEETING_STAGE,
+    meetings_between,
+    NEAR_STAGE,
+    NOT_ALIKE,
+)
 from ocp_ros.registration.joint_alignment import (
     advice,
     all_constraints,
@@ -250,8 +258,8 @@ def depth_share(scan: ScanSurfaces, view: LiveView, pose: Pose, model: CameraMod
 
 def register_together(scan: ScanSurfaces, cameras: Mapping[str, tuple[LiveView, CameraModel]],
                       found: Mapping[str, Registration],
-                      measured: Mapping[tuple[str, str], float] | None = None
-                      ) -> dict[str, Registration]:
+                      measured: Mapping[tuple[str, str], float] | None = None,
+                      carried: Mapping[str, Carried] | None = None) -> dict[str, Registration]:
     """
     Register cameras to the scan and to each other, after each has been registered alone.
 
@@ -262,6 +270,7 @@ def register_together(scan: ScanSurfaces, cameras: Mapping[str, tuple[LiveView, 
     :param cameras: the view and the model of each camera, by name.
     :param found: the registration of each camera alone, by name.
     :param measured: measured distances between two cameras, metres, by their names.
+    :param carried: what was set down in the views of the cameras, by name; of all or of none.
     :returns: the registrations, improved.
     """
     names = [name for name, one in found.items() if not one.mismatched]
@@ -269,11 +278,18 @@ def register_together(scan: ScanSurfaces, cameras: Mapping[str, tuple[LiveView, 
         return dict(found)
     views = [cameras[name][0] for name in names]
     poses = _agreeing_poses(views, [found[name] for name in names])
-    distances = distances_between(names, measured or {})
-    for stage in (AlignmentStage((0.1, 0.05), (3.0, 1.0), 10), FINEST_STAGE):
-        rig = [RigCamera.of(view.patches, scan.in_view(pose, cameras[name][1]).every)
+    distances, carried = distances_between(names, measured or {}), carried or {}
+    meetings = meetings_between(names, carried)
+    for stage in (*((MEETING_STAGE, NEAR_STAGE) if meetings else ()),
+                  AlignmentStage((0.1, 0.05), (3.0, 1.0), 10), FINEST_STAGE):
+        rig = [RigCamera.of(view.patches, scan.in_view(pose, cameras[name][1]).every,
+                            carried[name][:2] if meetings else None)
                for name, view, pose in zip(names, views, poses)]
-        poses = joint_poses(rig, poses, stage, distances=distances)
+        poses = joint_poses(rig, poses, stage, distances=[
+            *distances, *(meetings if stage is MEETING_STAGE else ())])
+    if meetings and is_contradicted(carried, dict(zip(names, views)), dict(zip(names, poses))):
+        return {name: one._replace(refused=one.refused and one.refused + NOT_ALIKE)
+                for name, one in register_together(scan, cameras, found, measured).items()}
     limits = FINEST_STAGE.max_distances[1], FINEST_STAGE.kernel_widths[1]
     pairs = overlapping_pairs(rig, poses, limits[0])
     constraints = all_constraints(rig, poses, pairs, *limits, distances)
@@ -283,7 +299,7 @@ def register_together(scan: ScanSurfaces, cameras: Mapping[str, tuple[LiveView, 
         alone = found[name]
         seen_by_others = np.zeros(len(views[k].patches.points), dtype=bool)
         for other in [other for camera, other in pairs if camera == k]:
-            seen_by_others |= _explained(rig[other].own, views[k].patches,
+            seen_by_others |= _explained(views[other].surfaces, views[k].patches,
                                          relative_pose(poses[k], poses[other]))[0]
         answer = _judged(scan, views[k], poses[k], certainty, _residual(own), (), seen_by_others)
         if answer.refused and not alone.refused:
@@ -291,7 +307,8 @@ def register_together(scan: ScanSurfaces, cameras: Mapping[str, tuple[LiveView, 
         if answer.refused and certainty.metres[0] > LIMITS.max_metres:
             answer = answer._replace(refused=answer.refused + advice(
                 name, certainty.slide_axes[0],
-                {other: pose.position for other, pose in zip(names, poses)}))
+                {other: pose.position for other, pose in zip(names, poses)},
+                [names[other] for camera, other in pairs if camera == k]))
         joint[name] = answer._replace(actual_setup=alone.actual_setup, note=alone.note)
     return joint
 

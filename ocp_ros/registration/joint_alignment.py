@@ -44,6 +44,7 @@ from ocp_ros.registration.alignment import (
     weights_of,
 )
 from ocp_ros.util.annealing import between
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 #: The number of patches of a camera that are matched to those of another camera.
@@ -64,6 +65,11 @@ BLOCK_DEVIATIONS = 0.003, 0.001
 LARGEST_DEPTH_SHARE = 0.03
 #: The pose of a camera in its own body frame.
 HERE = Pose(np.zeros(3), np.eye(3))
+#: The number of patches of what was carried that are matched to those of another camera, and how
+#: far those of different moments are apart in the fourth coordinate, metres.
+CARRIED_PATCHES, LAYER_M = 2000, 100.0
+#: The standard deviation by which meetings count, metres.
+MEETING_DEVIATION_M = 0.01
 #: The name of the scan among what holds a camera.
 SCAN = 'scan'
 
@@ -120,19 +126,39 @@ class RigCamera(NamedTuple):
     :ivar surfaces: the surfaces of the scan in its view; None without a scan.
     :ivar own: its points as surfaces for other cameras, body frame.
     :ivar few: some of its points, to be matched to the surfaces of other cameras.
+    :ivar deviation: the standard deviations of the points of ``own``, metres.
+    :ivar layers: of ``few``: a fourth coordinate, by which only points of the same moment are
+        matched; None: all are of the still scene.
     """
 
     patches: Patches
     surfaces: Surfaces | None
     own: Surfaces
     few: Patches
+    deviation: np.ndarray
+    layers: np.ndarray | None = None
 
     @classmethod
-    def of(cls, patches: Patches, surfaces: Surfaces | None = None) -> 'RigCamera':
-        """Build a camera from its patches and the surfaces of the scan in its view."""
+    def of(cls, patches: Patches, surfaces: Surfaces | None = None,
+           carried: tuple[Patches, np.ndarray] | None = None) -> 'RigCamera':
+        """
+        Build a camera from its patches and the surfaces of the scan in its view.
+
+        :param carried: (C,) patches of what was there at some moments only, and the number of the
+            moment of each, from 1 on; for all cameras of a rig or for none.
+        """
         order = np.random.default_rng(0).permutation(len(patches.points))[:MUTUAL_PATCHES]
-        return cls(patches, surfaces, Surfaces.of(patches.points, patches.normals, True),
-                   patches.subset(order))
+        if carried is None:
+            return cls(patches, surfaces, Surfaces.of(patches.points, patches.normals, True),
+                       patches.subset(order), patches.deviation)
+        moving, moments = carried
+        seen = Patches(*map(np.concatenate, zip(patches, moving)))
+        layers = LAYER_M * np.concatenate([np.zeros(len(patches.points)), moments])
+        tree = cKDTree(np.column_stack([seen.points, layers]))
+        chosen = np.random.default_rng(0).permutation(len(moments))[:CARRIED_PATCHES]
+        order = np.concatenate([order, len(patches.points) + chosen])
+        return cls(patches, surfaces, Surfaces(seen.points, seen.normals, True, tree),
+                   seen.subset(order), seen.deviation, layers[order])
 
 
 def scan_constraints(camera: int, surfaces: Surfaces, patches: Patches, pose: Pose,
@@ -157,16 +183,23 @@ def _mutual_constraints(camera: int, other: int, rig: Sequence[RigCamera], poses
     """Match the points of a camera to those of another; see :func:`scan_constraints`."""
     patches, surfaces = rig[camera].few, rig[other].own
     pose, base = poses[camera], poses[other]
-    matches = matches_of(surfaces, patches, Poses.of(relative_pose(pose, base)), max_distance)
+    matches = matches_of(surfaces, patches, Poses.of(relative_pose(pose, base)), max_distance,
+                         rig[camera].layers)
     # Both points have errors.
-    deviation = np.hypot(patches.deviation, rig[other].patches.deviation[matches.indices[0]])
+    deviation = np.hypot(patches.deviation, rig[other].deviation[matches.indices[0]])
     weights = weights_of(matches, deviation, kernel_width)[0]
     normals = matches.jacobians[0, :, 3:] @ base.rotation.T
     offsets = patches.points @ pose.rotation.T
     points = offsets + pose.position
-    jacobians = np.hstack([np.cross(offsets, normals), normals,
-                           -np.cross(points - base.position, normals), -normals])
+    jacobians = _pair_jacobians(offsets, points - base.position, normals)
     return Constraints(camera, other, jacobians, matches.residuals[0], weights, points, normals)
+
+
+def _pair_jacobians(offsets: np.ndarray, other_offsets: np.ndarray, normals: np.ndarray
+                    ) -> np.ndarray:
+    """Return derivatives (M, 12) of distances along normals; offsets are from both cameras."""
+    return np.hstack([np.cross(offsets, normals), normals,
+                      -np.cross(other_offsets, normals), -normals])
 
 
 def relative_pose(pose: Pose, base: Pose) -> Pose:
@@ -202,6 +235,37 @@ class Distance(NamedTuple):
             np.outer(rows, direction), by_hand=True)
 
 
+class Meeting(NamedTuple):
+    """
+    The middles of what two cameras see of one thing at several moments.
+
+    They see different sides of it, so that this is a start only.
+
+    :ivar camera: the number of one camera.
+    :ivar other: the number of the other camera.
+    :ivar places: (F, 3) metres, body frame of the camera, at F moments.
+    :ivar other_places: the same in that of the other camera.
+    """
+
+    camera: int
+    other: int
+    places: np.ndarray
+    other_places: np.ndarray
+
+    def constraints(self, poses: Sequence[Pose]) -> Constraints:
+        """Return the residuals of the middles along all axes."""
+        offsets, other_offsets = (
+            np.repeat(places @ poses[k].rotation.T, 3, axis=0) for k, places in (
+                (self.camera, self.places), (self.other, self.other_places)))
+        points = offsets + poses[self.camera].position
+        normals = np.tile(np.eye(3), (len(self.places), 1))
+        apart = points - other_offsets - poses[self.other].position
+        return Constraints(self.camera, self.other,
+                           _pair_jacobians(offsets, other_offsets, normals),
+                           (apart * normals).sum(axis=1),
+                           np.full(len(points), MEETING_DEVIATION_M ** -2.0), points, normals)
+
+
 def distances_between(names: Sequence[str], measured: Mapping[tuple[str, str], float]
                       ) -> list[Distance]:
     """Return the measured distances, metres, between two of some cameras, by their numbers."""
@@ -209,25 +273,28 @@ def distances_between(names: Sequence[str], measured: Mapping[tuple[str, str], f
             for (a, b), metres in measured.items() if a in names and b in names]
 
 
-def advice(name: str, axis: np.ndarray, places: Mapping[str, np.ndarray]) -> str:
+def advice(name: str, axis: np.ndarray, places: Mapping[str, np.ndarray],
+           neighbours: Sequence[str] = ()) -> str:
     """
-    Return which distance would hold a camera along an axis; empty if none would.
+    Return what would hold a camera along an axis; empty if nothing would.
 
     :param axis: (3,) unit vector, map frame.
     :param places: the positions (3,) of all cameras, metres, by name.
+    :param neighbours: cameras whose views overlap with that of the camera.
     """
     shares = {other: abs(axis @ (place - places[name])) / np.linalg.norm(place - places[name])
               for other, place in places.items() if other != name}
     best = max(shares, key=lambda other: shares[other], default='')
     # Across the axis, a distance does not hold it.
-    if not best or shares[best] < 0.5:
-        return ''
-    return f'; measure its distance to {best} (--distance {name}:{best}=METRES)'
+    remedies = [f'measure its distance to {best} (--distance {name}:{best}=METRES)'] \
+        if best and shares[best] >= 0.5 else []
+    remedies += [f'set a box down where {other} sees it too (--box)' for other in neighbours[:1]]
+    return '; ' * bool(remedies) + ', or '.join(remedies)
 
 
 def all_constraints(rig: Sequence[RigCamera], poses: Sequence[Pose],
                     pairs: Sequence[tuple[int, int]], max_distance: float, kernel_width: float,
-                    distances: Sequence[Distance] = ()) -> list[Constraints]:
+                    distances: Sequence[Distance | Meeting] = ()) -> list[Constraints]:
     """Return the constraints by the scan, by pairs of cameras and by measured distances."""
     limits = max_distance, kernel_width
     return [*(scan_constraints(k, one.surfaces, one.patches, poses[k], *limits)
@@ -250,7 +317,8 @@ def overlapping_pairs(rig: Sequence[RigCamera], poses: Sequence[Pose], max_dista
 
 
 def joint_poses(rig: Sequence[RigCamera], poses: Sequence[Pose], stage: AlignmentStage,
-                anchors: Collection[int] = (), distances: Sequence[Distance] = ()) -> list[Pose]:
+                anchors: Collection[int] = (),
+                distances: Sequence[Distance | Meeting] = ()) -> list[Pose]:
     """
     Register cameras to the scan and to each other.
 
@@ -258,7 +326,7 @@ def joint_poses(rig: Sequence[RigCamera], poses: Sequence[Pose], stage: Alignmen
     :param poses: their start poses.
     :param stage: the limits of the iteration.
     :param anchors: cameras that keep their poses: at least one where no camera has a scan.
-    :param distances: distances between cameras that a person has measured.
+    :param distances: distances between cameras that a person has measured, and meetings.
     :returns: their final poses.
     """
     poses = list(poses)

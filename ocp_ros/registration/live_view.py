@@ -54,21 +54,7 @@ class LiveView:
                 f'{model.min_range:g} and {model.max_range:g} m from the camera; expected at '
                 f'least {MIN_POINTS}; check unit and frame, and that the camera is not covered')
         self.points, self._distance = points[kept], distance[kept]
-        self.patches = self._find_patches(name)
-
-    def _find_patches(self, name: str) -> Patches:
-        """Return the points as patches; refuse fewer than a plane is fitted to."""
-        points = thinned_to(averaged(self.points, self._distance), 5000).astype(np.float64)
-        if len(points) < PLANE_NEIGHBOURS:
-            raise SceneError(
-                f'{name}: found {len(self.points)} points in {len(points)} places; expected at '
-                f'least {PLANE_NEIGHBOURS} places; restart the driver if it repeats one point')
-        neighbours = nearest(points, PLANE_NEIGHBOURS)[1]
-        normals = edge_aware_normals(points, neighbours).astype(np.float64)
-        # The camera is at the origin of the points, so its rays have the directions of the points.
-        facing_away = np.einsum('ij,ij->i', normals, points) > 0.0
-        normals[facing_away] *= -1.0
-        return Patches(points, normals, standard_deviation(np.linalg.norm(points, axis=1)))
+        self.patches = patches_of(self.points, name)
 
     @cached_property
     def surfaces(self) -> Surfaces:
@@ -108,15 +94,23 @@ class LiveView:
         :returns: the number of points that lie where this camera has measured a surface and face
             it, and of points in space that it has measured as free.
         """
+        is_free, is_behind = self.beside(points)
+        is_seen = ~is_free & ~is_behind & faces_origin(points, normals)
+        return int(np.count_nonzero(is_seen)), int(np.count_nonzero(is_free))
+
+    def beside(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """
+        Return which points are in space that is measured as free, and which behind all surfaces.
+
+        :param points: (N, 3) metres, body frame.
+        :returns: (N,) bool each; a direction without a measurement is behind.
+        """
         distance = np.maximum(np.linalg.norm(points, axis=1), 1e-6)
         cells = direction_cells(points, distance)
         low, high = (values[cells] for values in self._cell_ranges)
         margin = 0.04 + 2.0 * standard_deviation(distance)
         # Without a measurement, the least distance is inf and the largest -inf.
-        is_free = np.isfinite(low) & (distance < low - margin)
-        faces = -np.einsum('ij,ij->i', normals, points) > 0.2 * distance
-        is_seen = ~is_free & (distance <= high + margin) & faces
-        return int(np.count_nonzero(is_seen)), int(np.count_nonzero(is_free))
+        return np.isfinite(low) & (distance < low - margin), ~(distance <= high + margin)
 
     def violated_shares(self, points: np.ndarray, poses: Poses) -> np.ndarray:
         """
@@ -146,6 +140,34 @@ class LiveView:
         in_view = np.isfinite(low) & (distance < high + margin)
         in_free_space = in_view & (distance < low - margin)
         return float(in_free_space.sum() / max(in_view.sum(), 1))
+
+
+def patches_of(points: np.ndarray, name: str, most: int = 5000) -> Patches:
+    """
+    Return points as patches, averaged and thinned evenly in space.
+
+    :param points: (N, 3) metres, body frame.
+    :param name: the name of the cloud in errors.
+    :param most: the largest number of patches.
+    :raises SceneError: if there are fewer than a plane is fitted to.
+    """
+    places = thinned_to(averaged(points, np.linalg.norm(points, axis=1)), most).astype(np.float64)
+    if len(places) < PLANE_NEIGHBOURS:
+        raise SceneError(
+            f'{name}: found {len(points)} points in {len(places)} places; expected at '
+            f'least {PLANE_NEIGHBOURS} places; restart the driver if it repeats one point')
+    neighbours = nearest(places, PLANE_NEIGHBOURS)[1]
+    normals = edge_aware_normals(places, neighbours).astype(np.float64)
+    # The camera is at the origin of the points, so its rays have the directions of the points.
+    facing_away = np.einsum('ij,ij->i', normals, places) > 0.0
+    normals[facing_away] *= -1.0
+    return Patches(places, normals, standard_deviation(np.linalg.norm(places, axis=1)))
+
+
+def faces_origin(points: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """Return which points (N, 3) with normals (N, 3) face the origin by 12 degrees or more."""
+    distance = np.maximum(np.linalg.norm(points, axis=1), 1e-6)
+    return -np.einsum('ij,ij->i', normals, points) > 0.2 * distance
 
 
 def standard_deviation(distance: np.ndarray) -> np.ndarray:

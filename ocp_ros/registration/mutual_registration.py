@@ -31,6 +31,14 @@ import numpy as np
 from ocp_ros.geometry.cameras import Pose, rotation_matrix
 from ocp_ros.registration.alignment import aligned_poses, AlignmentStage, Certainty, Poses
 from ocp_ros.registration.camera_registration import Comparison, comparison, differ, sampled
+from ocp_ros.registration.carried import (
+    Carried,
+    is_contradicted,
+    MEETING_STAGE,
+    meetings_between,
+    NEAR_STAGE,
+    NOT_ALIKE,
+)
 from ocp_ros.registration.joint_alignment import (
     advice,
     all_constraints,
@@ -38,6 +46,7 @@ from ocp_ros.registration.joint_alignment import (
     distances_between,
     HERE,
     joint_poses,
+    Meeting,
     overlapping_pairs,
     relative_pose,
     RigCamera,
@@ -61,8 +70,7 @@ BEAM = 3
 #: Metres and radians: likely poses of a camera that differ by more than either are not the same.
 APART = 0.2, np.deg2rad(6.0)
 #: How all cameras are registered together.
-JOINT_STAGES = (AlignmentStage((0.3, 0.1), (8.0, 3.0), 14),
-                AlignmentStage((0.1, 0.06), (3.0, 1.5), 16))
+JOINT_STAGES = NEAR_STAGE, AlignmentStage((0.1, 0.06), (3.0, 1.5), 16)
 
 
 class MutualLimits(NamedTuple):
@@ -255,14 +263,18 @@ def _turns_between(one: LevelView, other: LevelView) -> np.ndarray:
     return np.deg2rad(2.0 * peaks[np.argsort(-match[peaks])][:TURNS])
 
 
-def pair_poses(one: LevelView, other: LevelView) -> list[tuple[float, Pose]]:
+def pair_poses(one: LevelView, other: LevelView, meeting: Meeting | None = None
+               ) -> list[tuple[float, Pose]]:
     """
     Find the likely poses of a camera in the body frame of another.
 
     :param one: the camera that stays.
     :param other: the camera whose pose is wanted.
+    :param meeting: where both saw something set down, which shows about where it is.
     :returns: agreements and poses of ``other``, the best first, at most ``KEPT`` distinct ones.
     """
+    if meeting:
+        return _best_distinct(one, other, [_pose_by(meeting, one, other)])
     fixed, starts = _maps_of(one, 0.0), []
     for yaw in _turns_between(one, other):
         moved = _maps_of(other, yaw)
@@ -279,6 +291,18 @@ def pair_poses(one: LevelView, other: LevelView) -> list[tuple[float, Pose]]:
                          rotation_matrix(yaw) @ other.pose.rotation)
             starts.append(relative_pose(place, one.pose))
     return _best_distinct(one, other, starts)
+
+
+def _pose_by(meeting: Meeting, one: LevelView, other: LevelView) -> Pose:
+    """Return about where a camera is in the body frame of another; see :func:`pair_poses`."""
+    places, other_places = (at @ level.pose.rotation.T + level.pose.position for at, level in (
+        (meeting.places, one), (meeting.other_places, other)))
+    # The turn about the vertical that brings the places of both together.
+    flat, other_flat = ((at - at.mean(axis=0))[:, :2] @ [1.0, 1j] for at in (places, other_places))
+    turn = rotation_matrix(np.angle((flat * other_flat.conj()).sum()))
+    shift = (places.mean(axis=0) - turn @ other_places.mean(axis=0)) * [1.0, 1.0, 0.0]
+    return relative_pose(Pose(turn @ other.pose.position + shift, turn @ other.pose.rotation),
+                         one.pose)
 
 
 def _best_distinct(one: LevelView, other: LevelView, starts: Sequence[Pose]
@@ -304,7 +328,8 @@ def _best_distinct(one: LevelView, other: LevelView, starts: Sequence[Pose]
 
 def register_mutually(views: Mapping[str, LiveView],
                       measured: Mapping[tuple[str, str], float] | None = None,
-                      known: Mapping[str, Pose] | None = None
+                      known: Mapping[str, Pose] | None = None,
+                      carried: Mapping[str, Carried] | None = None
                       ) -> tuple[dict[str, MutualRegistration], dict[str, str]]:
     """
     Register cameras to each other.
@@ -312,6 +337,7 @@ def register_mutually(views: Mapping[str, LiveView],
     :param views: what each camera sees, by name.
     :param measured: measured distances between two cameras, metres, by their names.
     :param known: poses of some cameras, which keep them; all poses are then in their frame.
+    :param carried: what was set down in the views of the cameras, by name; of all or of none.
     :returns: the registrations of the cameras without a known pose, and the reasons why cameras
         have none, by name. In the frame of the poses, unless some are known, z is up and 0 on the
         floor, x is along the walls, and the lowest corner of what all cameras see is the origin.
@@ -319,8 +345,9 @@ def register_mutually(views: Mapping[str, LiveView],
     known = known or {}
     level = {name: one for name, view in views.items() if (one := LevelView.of(view)) is not None}
     reasons = {name: 'it sees no floor; tilt it down' for name in views if name not in level}
-    names = list(level)
-    links = {(a, b): pair_poses(level[a], level[b]) for k, a in enumerate(names)
+    names, measured, carried = list(level), measured or {}, carried or {}
+    met = {(names[one.camera], names[one.other]): one for one in meetings_between(names, carried)}
+    links = {(a, b): pair_poses(level[a], level[b], met.get((a, b))) for k, a in enumerate(names)
              for b in names[k + 1:] if a not in known or b not in known}
     links |= {(b, a): [(score, relative_pose(HERE, pose)) for score, pose in found]
               for (a, b), found in list(links.items())}
@@ -328,14 +355,15 @@ def register_mutually(views: Mapping[str, LiveView],
     reasons |= {name: 'it agrees with no other camera: too little of what it sees is seen by '
                 'others; turn it to what another one sees' for name in names if name not in poses}
     if poses.keys() <= known.keys():
-        return {}, reasons
-    measured = measured or {}
+        return _without_box(views, measured, known) if met else ({}, reasons)
     while True:
         totals = {name: _total(level, poses, name, poses[name]) for name in poses}
         anchors = [name for name in poses if name in known] or [
             max(totals, key=totals.__getitem__)]
-        rig = {name: RigCamera.of(views[name].patches) for name in poses}
-        joint = _registered(rig, poses, anchors, measured)
+        rig = {name: RigCamera.of(views[name].patches,
+                                  carried=carried[name][:2] if carried else None)
+               for name in poses}
+        joint = _registered(rig, poses, anchors, measured, carried)
         # A camera at a wrong pose also moves the others.
         contradicted = {name: _contradicted(level, joint, name) for name in joint
                         if name not in known}
@@ -350,15 +378,17 @@ def register_mutually(views: Mapping[str, LiveView],
         if len(poses) < 2 or poses.keys() <= known.keys():
             return {}, reasons | dict.fromkeys(
                 poses.keys() - known.keys(), 'no other camera is left that agrees with it')
-    leads = {name: _lead(level, links, rig, poses, joint, name) for name in joint
+    if carried and is_contradicted(carried, views, joint):
+        return _without_box(views, measured, known)
+    leads = {name: _lead(level, links, rig, poses, joint, name, carried) for name in joint
              if name not in known}
     if not known:
         joint = dict(zip(joint, _levelled([level[name] for name in joint], [*joint.values()])))
     placed, limits = list(joint), (JOINT_STAGES[-1].max_distances[1],
                                    JOINT_STAGES[-1].kernel_widths[1])
     ordered, at = list(rig.values()), list(joint.values())
-    constraints = all_constraints(ordered, at, overlapping_pairs(ordered, at, limits[0]), *limits,
-                                  distances_between(placed, measured))
+    pairs = overlapping_pairs(ordered, at, limits[0])
+    constraints = all_constraints(ordered, at, pairs, *limits, distances_between(placed, measured))
     found = {}
     for name, certainty in zip(placed, certainties(
             constraints, placed, [placed.index(name) for name in anchors], at)):
@@ -367,19 +397,33 @@ def register_mutually(views: Mapping[str, LiveView],
         refused = _refusal(totals[name], leads[name], certainty)
         if refused and certainty.metres[0] > MUTUAL_LIMITS.max_metres:
             refused += advice(name, certainty.slide_axes[0],
-                              {other: pose.position for other, pose in joint.items()})
+                              {other: pose.position for other, pose in joint.items()},
+                              [placed[b] for a, b in pairs if placed[a] == name])
         found[name] = MutualRegistration(joint[name], totals[name], leads[name], certainty,
                                          refused)
     return found, reasons
 
 
+def _without_box(views: Mapping[str, LiveView], measured: Mapping[tuple[str, str], float],
+                 known: Mapping[str, Pose]
+                 ) -> tuple[dict[str, MutualRegistration], dict[str, str]]:
+    """Register cameras without what was set down, and say so; see :func:`register_mutually`."""
+    found, reasons = register_mutually(views, measured, known)
+    return ({name: one._replace(refused=one.refused and one.refused + NOT_ALIKE)
+             for name, one in found.items()},
+            {name: reason + NOT_ALIKE for name, reason in reasons.items()})
+
+
 def _registered(rig: Mapping[str, RigCamera], poses: Mapping[str, Pose], anchors: Collection[str],
-                measured: Mapping[tuple[str, str], float]) -> dict[str, Pose]:
+                measured: Mapping[tuple[str, str], float], carried: Mapping[str, Carried]
+                ) -> dict[str, Pose]:
     """Register all cameras together; see :func:`register_mutually`. Anchors keep their poses."""
     names, found = list(rig), [poses[name] for name in rig]
-    for stage in JOINT_STAGES:
+    meetings = meetings_between(names, carried)
+    for stage in (*((MEETING_STAGE,) if meetings else ()), *JOINT_STAGES):
         found = joint_poses(list(rig.values()), found, stage, [names.index(k) for k in anchors],
-                            distances_between(names, measured))
+                            [*distances_between(names, measured),
+                             *(meetings if stage is MEETING_STAGE else ())])
     return dict(zip(names, found))
 
 
@@ -433,7 +477,8 @@ def _assembled(level: Mapping[str, LevelView], links: _Links, known: dict[str, P
 
 
 def _lead(level: Mapping[str, LevelView], links: _Links, rig: Mapping[str, RigCamera],
-          poses: Mapping[str, Pose], joint: Mapping[str, Pose], name: str) -> float:
+          poses: Mapping[str, Pose], joint: Mapping[str, Pose], name: str,
+          carried: Mapping[str, Carried]) -> float:
     """
     Return the lead in agreement of a placed camera's pose over its other likely poses.
 
@@ -448,7 +493,7 @@ def _lead(level: Mapping[str, LevelView], links: _Links, rig: Mapping[str, RigCa
     for place in [one for one in others if differ(one, poses[name], APART)]:
         ahead = own - _total(level, poses, name, place)
         if ahead < MUTUAL_LIMITS.min_lead:
-            moved = _registered(rig, {**joint, name: place}, rig.keys() - {name}, {})
+            moved = _registered(rig, {**joint, name: place}, rig.keys() - {name}, {}, carried)
             if (not differ(moved[name], joint[name], APART)
                     or _contradicted(level, moved, name) > MUTUAL_LIMITS.max_contradicted):
                 continue
@@ -485,7 +530,8 @@ def _refusal(total: float, lead: float, certainty: Certainty) -> str:
                 'sees')
     if lead < MUTUAL_LIMITS.min_lead:
         return ('another pose agrees with the other cameras about as well; turn it to something '
-                'that another one sees and that is there only once')
+                'that another one sees and that is there only once, or set a box down where both '
+                'see it (--box)')
     if certainty.loose_motions:
         return (f'it {" and ".join(certainty.loose_motions)}: too little of what it sees is seen '
                 'by others')

@@ -45,7 +45,7 @@ def steady_cloud(frames: Sequence[np.ndarray]) -> np.ndarray:
     """
     if len(frames) == 1:
         return np.asarray(frames[0])
-    kept = [_few_measured(frame) for frame in frames]
+    kept = [few_measured(frame) for frame in frames]
     points = np.concatenate(kept)
     if len(points) == 0:
         return points
@@ -79,7 +79,7 @@ def measured(points: np.ndarray) -> np.ndarray:
     return points[np.isfinite(points).all(axis=1) & (points != 0.0).any(axis=1)]
 
 
-def _few_measured(frame: np.ndarray) -> np.ndarray:
+def few_measured(frame: np.ndarray) -> np.ndarray:
     """Return the measured points of a frame (N, 3), at most ``MAX_FRAME_POINTS``, as float64."""
     frame = measured(np.asarray(frame, dtype=np.float64))
     return frame[::max(1, -(-len(frame) // MAX_FRAME_POINTS))]

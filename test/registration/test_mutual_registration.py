@@ -249,6 +249,7 @@ def test_a_measured_distance_holds_a_camera_along_it():
     places = {'a': np.zeros(3), 'b': np.array([1.0, 0.0, 0.0]), 'c': np.array([0.0, 1.0, 0.0])}
     assert '--distance a:b=METRES' in advice('a', np.array([1.0, 0.0, 0.0]), places)
     assert advice('a', np.array([0.0, 0.0, 1.0]), places) == ''
+    assert advice('a', np.array([0.0, 0.0, 1.0]), places, ['c']).endswith('c sees it too (--box)')
 
 
 @pytest.mark.parametrize('arguments, words', [
@@ -257,6 +258,7 @@ def test_a_measured_distance_holds_a_camera_along_it():
     (['--clouds', 'b.npy', '--distance', 'b:c=1'], 'c'),
     (['--clouds', 'b.npy', '--near', '1'], '--near'),
     (['--against', 'a.yaml', '--clouds', 'b.npy', '--distance', 'b:c=1'], '--distance'),
+    (['--against', 'a.yaml', '--clouds', 'b.npy', '--box'], '--box'),
     (['--clouds', 'b.npy', 'c=b.npy', '--distance', 'b:c=0'], 'metres above 0')])
 def test_what_does_not_go_together_is_refused(capsys, tmp_path, monkeypatch, arguments, words):
     monkeypatch.chdir(tmp_path)

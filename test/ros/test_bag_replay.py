@@ -41,12 +41,13 @@ import numpy as np
 from ocp_ros.cli.main import build_parser, main
 from ocp_ros.geometry.cameras import CameraModel, Pose, rotation_matrix
 from ocp_ros.geometry.engine_config import EngineConfig
+from ocp_ros.registration.steady_cloud import steady_cloud
 from ocp_ros.rig.placement_file import load_placement
 from ocp_ros.rooms.generator import generate_room, mesh_of, plan_of
 from ocp_ros.ros.bags.bag_files import Bag, Recorded
 from ocp_ros.ros.bags.bag_process import CLOUD, POSES, TRANSFORMS
 from ocp_ros.ros.bags.bag_replay import Replay, ReplayOptions
-from ocp_ros.ros.bags.recorded_clouds import recorded_clouds
+from ocp_ros.ros.bags.recorded_clouds import recorded_frames
 from ocp_ros.ros.bags.replay_run import options_of, pose_of
 from ocp_ros.ros.interface import qos, topics
 from ocp_ros.ros.interface.conversions import (
@@ -202,6 +203,11 @@ def stage(graph, probe):
     probe.start, probe.play = start, play
     with ExitStack() as bags:
         yield probe
+
+
+def recorded_clouds(*arguments):
+    """Return what stays in the frames of each camera of a bag, by its name."""
+    return {name: steady_cloud([*frames.values()]) for name, frames in recorded_frames(*arguments)}
 
 
 def test_each_camera_is_given_what_it_recorded_in_its_body_frame(clouds, tmp_path):

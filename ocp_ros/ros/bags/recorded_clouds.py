@@ -14,13 +14,13 @@
 
 """Clouds of each camera of a rig from a bag, or from depth images in it, in its body frame."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import islice
 from pathlib import Path
 
 import numpy as np
 from ocp_ros.geometry.cameras import TO_BODY
-from ocp_ros.registration.steady_cloud import MAX_FRAMES, steady_cloud
+from ocp_ros.registration.steady_cloud import MAX_FRAMES
 from ocp_ros.ros.bags.bag_files import Bag, BrokenMessage, Recorded
 from ocp_ros.ros.interface.conversions import RawMessage
 from ocp_ros.ros.interface.depth_images import POINT_SOURCES, read_points
@@ -30,25 +30,25 @@ from ocp_ros.util.settings import check_known, ConfigurationError
 from sensor_msgs.msg import CameraInfo, PointCloud2
 
 
-def recorded_clouds(path: Path, names: Sequence[str], chosen: Mapping[str, str],
-                    frame: str | None = None) -> dict[str, np.ndarray]:
+def recorded_frames(path: Path, names: Sequence[str], chosen: Mapping[str, str],
+                    frame: str | None = None) -> Iterator[tuple[str, dict[int, np.ndarray]]]:
     """
-    Read the clouds of cameras from a bag.
+    Read the clouds of cameras from a bag, one camera after the other.
 
     :param path: path of the bag.
     :param names: names of the cameras, in the order of the placement.
     :param chosen: topic by the name of the camera; if empty, :func:`topics_of_cameras` chooses.
     :param frame: axes of the clouds, ``'optical'`` or ``'body'``; None: those of depth images are
         optical, those of clouds as the names of their frames say.
-    :returns: the N points of each camera that has a topic, by the name of the camera: (N, 3)
-        float32, metres, body frame.
+    :returns: the name of each camera that has a topic, and its frames by the time of recording,
+        nanoseconds: (N, 3) float32, metres, body frame.
     :raises ConfigurationError: if the bag cannot be read, or the topic of a camera is not clear.
     """
     with Bag(path) as bag:
         kinds = {topic.name: topic.kind for topic in bag.topics if topic.kind in POINT_SOURCES}
         check_known(chosen.values(), kinds, f'{path}: topics')
-        return {name: _read_cloud(bag, topic, kinds[topic], frame)
-                for name, topic in (chosen or topics_of_cameras(path, names, bag.clouds)).items()}
+        for name, topic in (chosen or topics_of_cameras(path, names, bag.clouds)).items():
+            yield name, _read_frames(bag, topic, kinds[topic], frame)
 
 
 def topics_of_cameras(path: Path, names: Sequence[str], topics: Sequence[str]) -> dict[str, str]:
@@ -74,9 +74,9 @@ def topics_of_cameras(path: Path, names: Sequence[str], topics: Sequence[str]) -
     return dict(zip(names, topics))
 
 
-def _read_cloud(bag: Bag, topic: str, kind: str, frame: str | None) -> np.ndarray:
-    """Return what stays in frames of a topic, (M, 3) metres, body frame."""
-    clouds = []
+def _read_frames(bag: Bag, topic: str, kind: str, frame: str | None) -> dict[int, np.ndarray]:
+    """Return frames of a topic by the time of recording, each (N, 3) metres, body frame."""
+    clouds = {}
     info = None
     if POINT_SOURCES[kind] is not PointCloud2:
         frame = frame or 'optical'
@@ -92,13 +92,13 @@ def _read_cloud(bag: Bag, topic: str, kind: str, frame: str | None) -> np.ndarra
             points, cloud_frame = read_points(RawMessage.of(POINT_SOURCES[kind], item.cdr), info)
             is_optical = cloud_frame.endswith(OPTICAL_FRAME_ENDINGS)
             rotation = TO_BODY[frame or ('optical' if is_optical else 'body')]
-            clouds.append(points @ rotation.T)
+            clouds[item.time] = points @ rotation.T
         except ValueError as error:
             reason = str(error)
     if not clouds:
         raise ConfigurationError(f'{bag.path}: found no cloud on {topic} that can be read '
                                  f'({reason}); expected one; name another topic (--topics)')
-    return steady_cloud(clouds)
+    return clouds
 
 
 def _spread(items: Iterable[Recorded | BrokenMessage]) -> list[Recorded | BrokenMessage]:
