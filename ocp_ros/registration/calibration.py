@@ -186,7 +186,9 @@ def _correct_depths(scan: ScanSurfaces, placement: Placement, found: dict[str, R
             view = LiveView(used[name] * factor, model, name)
             one = registered_nearby(scan, view, one.pose, model)
             share, deviation = depth_share(scan, view, one.pose, model)
-        if abs(factor - 1.0) > max(WRONG_DEPTHS, 4.0 * deviation):
+        # Three walls that meet look alike from farther off with longer depths.
+        if deviation < 0.5 * WRONG_DEPTHS and (
+                abs(factor - 1.0) > max(WRONG_DEPTHS, 4.0 * deviation)):
             used[name] = used[name] * factor
             one = register(scan, LiveView(used[name], model, name), one.pose, model, near)
             found[name] = one._replace(note='; '.join([*filter(None, [one.note]), (

@@ -18,6 +18,7 @@ from pathlib import Path
 import re
 
 from benchmarks.calibration_bench import cast, off
+from benchmarks.calibration_conditions import hall, hung_in_hall
 from conftest import blank_report, box_sides, printed, refused
 import numpy as np
 from ocp_ros.cli.main import main
@@ -28,7 +29,7 @@ from ocp_ros.registration.alignment import (
     Poses,
     Surfaces,
 )
-from ocp_ros.registration.calibration import as_built, calibrate, drift
+from ocp_ros.registration.calibration import _correct_depths, as_built, calibrate, drift
 from ocp_ros.registration.camera_registration import (
     _behind_shares,
     _best_shift,
@@ -51,7 +52,7 @@ from ocp_ros.report.facts import details_of
 from ocp_ros.rig.placement_file import load_placement, placement_of, save_placement
 from ocp_ros.rig.rig_file import load_rig, rig_of
 from ocp_ros.rig.sensors import SENSORS
-from ocp_ros.rooms.generator import generate_room, mesh_of, plan_of
+from ocp_ros.rooms.generator import generate_room, mesh_of, plan_of, sample_surfaces
 from ocp_ros.scenes.meshes import MeshRays
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.scenes.scene_files import save_scene
@@ -391,6 +392,20 @@ def test_a_camera_with_wrong_depths_is_named_and_placed_by_right_ones(scan, fact
     named = re.match(r'its depths are (\S+) % too long', found.note)
     assert bool(named) == (factor > 1.0) == bool(found.note)
     assert not named or float(named[1]) == pytest.approx(100.0 * (factor - 1.0), abs=0.3)
+
+
+def test_depths_are_not_corrected_by_walls_that_look_alike_with_longer_ones():
+    # From farther off along the edge of sight to a bare corner, longer depths show the same.
+    plan, pose = hall(), hung_in_hall(np.random.default_rng(9501))[0]
+    cloud = cast(MeshRays(mesh_of(plan)), pose, SENSOR)[0]
+    bare = ScanSurfaces(Scene(sample_surfaces(plan, 9000, np.random.default_rng(0))))
+    placement = placement_of(rig_of(1, SENSOR), np.array([
+        [*pose.position, *heading_of(pose.rotation)]]))
+    name = placement.cameras[0].camera.name
+    found = {name: registered_nearby(bare, LiveView(cloud, MODEL), pose, MODEL)}
+    _correct_depths(bare, placement, found, {name: cloud}, 1.6)
+    assert not found[name].refused and not found[name].note
+    assert_near(found[name].pose, pose, 0.015)
 
 
 def test_a_neighbour_holds_a_camera_where_the_scan_does_not():
