@@ -128,7 +128,9 @@ def room_notes(scene: Scene) -> list[str]:
     elif no_ceiling and not scan_tilted:
         notes.append('found no ceiling; expected one above most of the floor; cameras on ceilings '
                      'find no place, and what is above the scan counts as far away')
-    if not missing and _is_overturned(scene, floor, ceiling[:, 2]):
+    # A second floor, of a scan that has drifted, looks like furniture.
+    has_drifted = any('drifted' in note for note in scene.notes)
+    if not missing and not has_drifted and _is_overturned(scene, floor, ceiling[:, 2]):
         notes.append('found more below the ceiling than above the floor; expected furniture and '
                      'doors to be low; the room may be upside down: turn the scan over if it is')
     return notes

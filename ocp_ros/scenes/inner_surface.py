@@ -413,6 +413,12 @@ def without_outside(scene: Scene) -> Scene:
     return replace(scene.only(is_kept), remarks=(*scene.remarks, said))
 
 
+def has_two_floors(scene: Scene) -> bool:
+    """Return whether a scan has drifted in height, so that parts of it repeat others."""
+    air = EnclosedAir.of(scene.points.astype(np.float64), float(np.median(scene.pitch)))
+    return air is not None and 'two floors' in _drift_of(scene, air)
+
+
 def _drift_of(scene: Scene, air: EnclosedAir) -> str:
     """
     Return a note if a scan shows its surfaces twice, since the scanner has lost its place; or ''.

@@ -41,7 +41,7 @@ from ocp_ros.scenes.false_points import (
     without_mirror_images,
 )
 from ocp_ros.scenes.file_formats import Declared, read_file, READERS, SUFFIXES
-from ocp_ros.scenes.inner_surface import inner_surface, without_outside
+from ocp_ros.scenes.inner_surface import has_two_floors, inner_surface, without_outside
 from ocp_ros.scenes.main_room import main_room, without_views_outside
 from ocp_ros.scenes.measured_room import CORNERS, room_between
 from ocp_ros.scenes.meshes import MESH_SAMPLES, sample_faces
@@ -281,9 +281,10 @@ def _room_in(scene: Scene, points: np.ndarray, all_rooms: bool) -> Scene:
         surfaces = scene.points
     if not all_rooms:
         scene, points = without_views_outside(scene, points)
-    count = len(scene)
-    scene = without_mirror_images(scene)
-    if len(scene) < count:
+    unmirrored = without_mirror_images(scene)
+    # What has drifted in height repeats other parts as a mirror does; mirrors keep the floor.
+    if len(unmirrored) < len(scene) and not has_two_floors(scene):
+        scene = unmirrored
         # ``main_room`` gets the points before merging. Some of them are behind the mirror and
         # must not count as another room, so it gets the remaining merged points instead.
         points = scene.points

@@ -302,6 +302,20 @@ def test_a_scan_that_has_drifted_stays_whole_and_gets_a_note(shift, overlap, sai
     assert len(scene) > 0.98 * (len(first) + len(second))
 
 
+def test_what_has_drifted_in_height_is_neither_a_mirror_image_nor_upside_down():
+    corners = np.array([(0, 0), (7, 0), (7, 2.5), (4, 2.5), (4, 5), (0, 5)])
+    parts = [side((*a, 0.0), (*(b - a), 0.0), (0, 0, 2.6))
+             for a, b in zip(corners, np.roll(corners, -1, axis=0))]
+    parts += [side((*at, z), (width, 0, 0), (0, 2.5, 0)) for z in (0.0, 2.6)
+              for at, width in (((0, 0), 7.0), ((0, 2.5), 4.0))]
+    room = np.concatenate(parts)
+    noise = np.random.default_rng(0).normal(0.0, 0.003, (2, *room.shape))
+    with pytest.warns(SceneWarning, match='drifted'):
+        scene = scene_of(np.concatenate([room + noise[0], room + noise[1] - [0, 0, 0.3]]))
+    assert len(scene.notes) == 1 and len(scene) > 1.9 * len(room)
+    assert len(room_notes(scene)) == 0
+
+
 def test_furniture_of_one_height_is_no_drift():
     tops = side((1.0, 1.0, 0.45), (3.0, 0, 0), (0, 2.5, 0))
     assert scene_of(np.concatenate([rooms((0.0, 6.0, 2.7)), tops])).notes == ()
