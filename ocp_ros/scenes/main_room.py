@@ -225,6 +225,8 @@ class _RoofedPlaces:
             np.bincount(parts[cells], minlength=count + 1)
             for cells in (roofs & is_beyond, is_beyond & (distance > 6.0), is_far))
         is_view = (far_counts >= 3) | ((distant_counts >= 3) & (roof_counts < distant_counts))
+        # Single points far away belong to the view too.
+        is_view |= is_view.any() & (distant_counts > 0) & (roof_counts == 0)
         for number, box in enumerate(ndimage.find_objects(parts), start=1):
             margin = len(reach)
             window = tuple(slice(max(side.start - margin, 0), side.stop + margin) for side in box)

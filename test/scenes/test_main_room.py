@@ -252,10 +252,14 @@ def test_what_a_scanner_sees_through_a_window_is_left_out_and_named(below):
     at = crossing(np.array([1.5, 2.0, 1.5]), outside, 0.0)
     seen = outside[(abs(at[:, 1] - 2.0) < 1.5) & (abs(at[:, 2] - 1.5) < 0.6)]
     assert len(seen) > 500
+    # A patch of the ground through another window.
+    patch = (14.0, 2.0, -below) + np.random.default_rng(1).uniform(0.0, [0.15, 0.15, 0.01], (9, 3))
+    seen = np.concatenate([seen, patch])
     with pytest.warns(SceneWarning, match='windows.*--all-rooms'):
         scene = scene_of(turned(np.concatenate([room[~is_window], seen]), 33.0))
     found = turned(scene.points.astype(float), -33.0)
     assert found[:, 0].min() > -0.3 and len(found) > 0.99 * np.count_nonzero(~is_window)
+    assert found[:, 0].max() < 6.3
     assert floor_height(scene) == pytest.approx(0.0, abs=0.02)
 
 
