@@ -79,12 +79,14 @@ def _density_steps(layers: list[np.ndarray], parapets: np.ndarray
     shape = ((high - low) / CELL_M).astype(int) + 1
     counts = np.array([np.histogram2d(*layer.T, shape, np.column_stack(
         [low, low + shape * CELL_M]))[0] for layer in (*layers, parapets)])
+    # A parapet has about as many points as the ceiling, stray points and chairs have few.
+    least = 0.5 * np.median(counts[1][counts[1] > 0])
     # Twice: with the glass room behind, and before.
     for is_turned in (False, True):
         turned = counts[:, ::-1] if is_turned else counts
         above_parapets = [
             (row, first, end) for row, first, end in _steps_in(turned[1:2])
-            if turned[2, max(row - 2, 0):row + 3, first:end].any(axis=0).mean() > 0.7]
+            if (turned[2, max(row - 2, 0):row + 3, first:end].sum(axis=0) > least).mean() > 0.7]
         for row, first, end in (*_steps_in(turned[:2]), *above_parapets):
             middle = 0.5 + (shape[0] - 1 - row if is_turned else row)
             # Two cells longer, up to the next walls.

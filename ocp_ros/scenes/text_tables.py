@@ -253,7 +253,8 @@ def _are_tabbed(rows: Sequence[str]) -> bool:
     cells = [cell.strip() for row in rows for cell in row.split('\t')]
     return (min(row.count('\t') for row in rows) >= 2 and not rows[0].startswith('\t')
             and 2 * sum('\t\t' in row for row in rows) < len(rows)
-            and all(re.fullmatch(r'\S*|[-+]?\d{1,3}(?: \d{3})+\S*', cell) for cell in cells))
+            and all(re.fullmatch(r'\S*|[-+]?\d{1,3}(?:[ \u00a0\u202f]\d{3})+\S*', cell)
+                    for cell in cells))
 
 
 def _as_utf8(line: str) -> str:
