@@ -79,8 +79,8 @@ def _density_steps(layers: list[np.ndarray], parapets: np.ndarray
     shape = ((high - low) / CELL_M).astype(int) + 1
     counts = np.array([np.histogram2d(*layer.T, shape, np.column_stack(
         [low, low + shape * CELL_M]))[0] for layer in (*layers, parapets)])
-    # A parapet has about as many points as the ceiling, stray points and chairs have few.
-    least = 0.5 * np.median(counts[1][counts[1] > 0])
+    # A parapet has ten times the area of a cell of the ceiling; stray points and chairs are few.
+    least = 2.0 * np.median(counts[1][counts[1] > 0])
     # Twice: with the glass room behind, and before.
     for is_turned in (False, True):
         turned = counts[:, ::-1] if is_turned else counts
