@@ -19,6 +19,7 @@ from functools import cache
 import json
 import re
 
+from benchmarks.calibration_conditions import PAGE, page_of
 from conftest import ROOT
 import pytest
 
@@ -216,6 +217,10 @@ def test_the_robustness_page_shows_the_dates_of_the_drills():
     rows = (ROOT / ROBUSTNESS).read_text().split('\n| drill |', 1)[1].splitlines()
     for name, part in content('drills').items():
         assert any(f'`{name}`' in row and f'| {part["date"]} |' in row for row in rows), name
+
+
+def test_the_page_of_conditions_shows_its_file():
+    assert PAGE.read_text() == page_of(content('calibration_conditions'))
 
 
 def test_the_readme_shows_few_numbers():
