@@ -32,6 +32,8 @@ from scipy.spatial.transform import Rotation
 
 #: The least cosine between the normals of a point and its match: 60 degrees.
 MIN_NORMAL_COSINE = 0.5
+#: The weight of a match to a surface that may have been scanned from its other side.
+UNSIDED_WEIGHT = 0.1
 #: The deviation of an unconstrained camera, in metres and in radians.
 FREE_DEVIATION = 10.0
 
@@ -66,17 +68,21 @@ class Surfaces(NamedTuple):
     :ivar oriented: whether the normals point to the scanned side of the surface; otherwise they
         have either sign.
     :ivar tree: a search tree of the points.
+    :ivar is_sided: (N,) bool, whether it is certain from which side a surface was scanned; None:
+        of all.
     """
 
     points: np.ndarray
     normals: np.ndarray
     oriented: bool
     tree: cKDTree
+    is_sided: np.ndarray | None = None
 
     @classmethod
-    def of(cls, points: np.ndarray, normals: np.ndarray, oriented: bool) -> 'Surfaces':
+    def of(cls, points: np.ndarray, normals: np.ndarray, oriented: bool,
+           is_sided: np.ndarray | None = None) -> 'Surfaces':
         """Build the surfaces and their search tree from points and normals (N, 3)."""
-        return cls(points, normals, oriented, cKDTree(points))
+        return cls(points, normals, oriented, cKDTree(points), is_sided)
 
 
 class Patches(NamedTuple):
@@ -122,12 +128,14 @@ class Matches(NamedTuple):
         through the camera, radians, and by a displacement along these axes, metres.
     :ivar found: (S, M) bool, whether there is a match.
     :ivar indices: (S, M) indices of the matched surface points.
+    :ivar is_sided: (S, M) bool, whether it is certain from which side they were scanned.
     """
 
     residuals: np.ndarray
     jacobians: np.ndarray
     found: np.ndarray
     indices: np.ndarray
+    is_sided: np.ndarray
 
 
 def matches_of(surfaces: Surfaces, patches: Patches, poses: Poses, max_distance: float,
@@ -162,7 +170,9 @@ def matches_of(surfaces: Surfaces, patches: Patches, poses: Poses, max_distance:
     found &= np.einsum('smi,smi->sm', normals, patch_normals) > MIN_NORMAL_COSINE
     residuals = np.einsum('smi,smi->sm', normals, positions - surface_points)
     jacobians = np.concatenate([np.cross(offsets, normals), normals], axis=2)
-    return Matches(residuals, jacobians, found, index)
+    is_sided = np.ones(index.shape, dtype=bool) if surfaces.is_sided is None \
+        else surfaces.is_sided[index]
+    return Matches(residuals, jacobians, found, index, is_sided)
 
 
 def weights_of(matches: Matches, deviation: np.ndarray, kernel_width: float) -> np.ndarray:
@@ -175,7 +185,8 @@ def weights_of(matches: Matches, deviation: np.ndarray, kernel_width: float) -> 
     """
     # The inverse variance of a point, times the kernel 1 / (1 + scaled^2)^2.
     scaled = matches.residuals / (kernel_width * deviation)
-    return matches.found / (deviation * (1.0 + scaled * scaled)) ** 2
+    trust = matches.found * np.where(matches.is_sided, 1.0, UNSIDED_WEIGHT)
+    return trust / (deviation * (1.0 + scaled * scaled)) ** 2
 
 
 def moved_poses(poses: Poses, steps: np.ndarray) -> Poses:
@@ -237,6 +248,9 @@ class Certainty(NamedTuple):
     :ivar degrees: (3,) deviations about these axes, the largest first.
     :ivar held_by: for each of the six axes, displacements first: the share of what holds the
         camera there, by name: ``scan`` or another camera; empty where nothing does.
+    :ivar covariance: (6, 6) of a rotation about the map axes, radians, and a displacement along
+        them, metres.
+    :ivar by_depths: (6, 6), what errors of depths add to it.
     """
 
     slide_axes: np.ndarray
@@ -244,14 +258,16 @@ class Certainty(NamedTuple):
     turn_axes: np.ndarray
     degrees: np.ndarray
     held_by: tuple[dict[str, float], ...] = ({},) * 6
+    covariance: np.ndarray | float = 0.0
+    by_depths: np.ndarray | float = 0.0
 
     @classmethod
-    def of(cls, covariance: np.ndarray, sources: Mapping[str, np.ndarray]) -> 'Certainty':
+    def of(cls, covariance: np.ndarray, by_depths: np.ndarray | float,
+           sources: Mapping[str, np.ndarray]) -> 'Certainty':
         """
         Return the deviations of a pose.
 
-        :param covariance: (6, 6) of a rotation about the map axes, radians, and a displacement
-            along them, metres.
+        :param covariance: (6, 6), with ``by_depths``.
         :param sources: by the name of what holds the camera: its information matrix (6, 6).
         """
         slide_axes, metres = _principal_axes(covariance[3:, 3:])
@@ -263,7 +279,8 @@ class Certainty(NamedTuple):
             total = sum(amounts.values())
             held_by.append({name: amount / total for name, amount in amounts.items()
                             if amount > 0.01 * total})
-        return cls(slide_axes, metres, turn_axes, np.rad2deg(radians), tuple(held_by))
+        return cls(slide_axes, metres, turn_axes, np.rad2deg(radians), tuple(held_by),
+                   covariance, by_depths)
 
     def with_doubts(self, overlap: float, displaced_share: float) -> 'Certainty':
         """
@@ -271,14 +288,15 @@ class Certainty(NamedTuple):
 
         Displaced surfaces were moved, or the scan shows their other side. The more of them there
         are, the more of the other surfaces may be wrong too. With little overlap, few surfaces
-        would show such errors.
+        would show such errors. Errors of depths stay as they are.
 
         :param overlap: the share of the cloud that the scan explains, 0 to 1.
         :param displaced_share: the share of displaced surfaces, 0 to 1.
         """
         # The weight 2 was chosen on validation rooms.
         factor = 1.0 + 2.0 * (1.0 - overlap + displaced_share)
-        return self._replace(metres=self.metres * factor, degrees=self.degrees * factor)
+        return Certainty.of(
+            factor ** 2 * (self.covariance - self.by_depths) + self.by_depths, self.by_depths, {})
 
     @property
     def loose_motions(self) -> list[str]:

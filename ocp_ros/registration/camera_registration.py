@@ -107,7 +107,7 @@ class AcceptanceLimits:
     #: The least lead over a nearby pose, as a share of the fit score.
     min_near_lead: float = 0.003
     #: The largest deviation if the scan may be partly wrong, metres; ``Certainty.with_doubts``.
-    max_metres: float = 0.0085
+    max_metres: float = 0.011
     #: The largest deviation if the scan may be partly wrong, degrees.
     max_degrees: float = 0.45
 
@@ -294,7 +294,8 @@ def register_together(scan: ScanSurfaces, cameras: Mapping[str, tuple[LiveView, 
     pairs = overlapping_pairs(rig, poses, limits[0])
     constraints = all_constraints(rig, poses, pairs, *limits, distances)
     joint = dict(found)
-    for k, (name, certainty) in enumerate(zip(names, certainties(constraints, names))):
+    for k, (name, certainty) in enumerate(zip(
+            names, certainties(constraints, names, poses=poses))):
         own = [one for one in constraints if k in (one.camera, one.other)]
         alone = found[name]
         seen_by_others = np.zeros(len(views[k].patches.points), dtype=bool)
@@ -469,7 +470,7 @@ def _evaluated(scan: ScanSurfaces, view: LiveView, pose: Pose, model: CameraMode
     surfaces = in_view.every
     constraints = scan_constraints(0, surfaces, view.patches, pose, FINEST_STAGE.max_distances[1],
                                    FINEST_STAGE.kernel_widths[1])
-    certainty, = certainties([constraints], [''])
+    certainty, = certainties([constraints], [''], poses=[pose])
     return _judged(scan, view, pose, certainty, _residual([constraints]),
                    () if alternative is None else (alternative,))
 

@@ -61,6 +61,9 @@ DEPTH_ERRORS = np.array([2e-3, 1e-3, 2e-4, 2e-4, 2e-4])
 #: The least standard deviation of what the points of a block have in common, metres: by errors of
 #: a scan, and where ``DEPTH_ERRORS`` stand for errors.
 BLOCK_DEVIATIONS = 0.003, 0.001
+#: The same of a surface that may have been scanned from its other side, about its thickness; and
+#: the edge of a block of such points, about that of a partition.
+UNSIDED_DEVIATION, UNSIDED_EDGE_M = 0.03, 3.0
 #: By which share depths are too long or too short at most, in general: a standard deviation.
 LARGEST_DEPTH_SHARE = 0.03
 #: The pose of a camera in its own body frame.
@@ -88,6 +91,7 @@ class Constraints(NamedTuple):
     :ivar points: (M, 3) the measured points, metres, map frame.
     :ivar normals: (M, 3) the normals of the matched surfaces.
     :ivar by_hand: whether a person has measured it, so that no depths are in it.
+    :ivar is_sided: (M,) bool, of the matched surfaces, see :class:`Surfaces`; None: all are.
     """
 
     camera: int
@@ -98,6 +102,7 @@ class Constraints(NamedTuple):
     points: np.ndarray
     normals: np.ndarray
     by_hand: bool = False
+    is_sided: np.ndarray | None = None
 
     @property
     def columns(self) -> np.ndarray:
@@ -175,7 +180,7 @@ def scan_constraints(camera: int, surfaces: Surfaces, patches: Patches, pose: Po
     weights = weights_of(matches, patches.deviation, kernel_width)
     points = patches.points @ pose.rotation.T + pose.position
     return Constraints(camera, -1, matches.jacobians[0], matches.residuals[0], weights[0], points,
-                       matches.jacobians[0, :, 3:])
+                       matches.jacobians[0, :, 3:], is_sided=matches.is_sided[0])
 
 
 def _mutual_constraints(camera: int, other: int, rig: Sequence[RigCamera], poses: Sequence[Pose],
@@ -362,21 +367,24 @@ def _normal_equations(constraints: Sequence[Constraints], cameras: int
 
 
 def pose_covariance(constraints: Sequence[Constraints], cameras: int,
-                    anchors: Collection[int] = (), poses: Sequence[Pose] = ()) -> np.ndarray:
+                    anchors: Collection[int] = (), poses: Sequence[Pose] = ()
+                    ) -> tuple[np.ndarray, np.ndarray]:
     """
     Return the expected covariance of the poses of K registered cameras.
 
     :param constraints: those of the registered poses.
     :param cameras: K.
     :param anchors: cameras whose poses are exact by definition.
-    :param poses: the registered poses, if no camera has a scan: what ``DEPTH_ERRORS`` do to them
-        is added, in place of errors of the scan.
+    :param poses: the registered poses, if what ``DEPTH_ERRORS`` do to them is to be added; where
+        no camera has a scan, in place of errors of the scan.
     :returns: (6K, 6K), radians and metres, map axes, each camera's rotation about its own
-        position.
+        position; and the part of it that ``DEPTH_ERRORS`` add.
     """
     size = 6 * cameras
-    jacobians, residuals, weights, blocks = _in_blocks(constraints, size)
-    scale, parts = _block_scales(residuals, weights, blocks, BLOCK_DEVIATIONS[bool(poses)])
+    jacobians, residuals, weights, blocks, sided = _in_blocks(constraints, size)
+    scanned = not poses or any(one.other < 0 for one in constraints)
+    scale, parts = _block_scales(residuals, weights, blocks, sided,
+                                 BLOCK_DEVIATIONS[0 if scanned else 1])
     count = len(parts)
     weighted = jacobians * weights[:, None]
     information = weighted.T @ jacobians
@@ -397,13 +405,14 @@ def pose_covariance(constraints: Sequence[Constraints], cameras: int,
         step = np.linalg.solve(left, weighted[part].T @ residuals[part])
         spread += np.outer(step, step)
     covariance += (count - 1) / max(count, 1) * spread
+    by_depths = np.zeros((size, size))
     if poses:
         moved = np.zeros((size, 5 * cameras))
         for one in constraints:
             moved[one.columns] += (one.jacobians * one.weights[:, None]).T @ one.by_depths(poses)
         moved = np.linalg.solve(damped, moved) * np.tile(DEPTH_ERRORS, cameras)
-        covariance += moved @ moved.T
-    return covariance
+        by_depths = moved @ moved.T
+    return covariance + by_depths, by_depths
 
 
 def depth_shares(constraints: Sequence[Constraints], poses: Sequence[Pose]
@@ -419,8 +428,8 @@ def depth_shares(constraints: Sequence[Constraints], poses: Sequence[Pose]
     :returns: (K,) the shares, and (K,) their standard deviations.
     """
     size = 6 * len(poses)
-    jacobians, residuals, weights, blocks = _in_blocks(constraints, size, poses)
-    scale, _ = _block_scales(residuals, weights, blocks)
+    jacobians, residuals, weights, blocks, sided = _in_blocks(constraints, size, poses)
+    scale, _ = _block_scales(residuals, weights, blocks, sided)
     weighted = jacobians * (weights * scale[blocks])[:, None]
     prior = np.repeat([FREE_DEVIATION, LARGEST_DEPTH_SHARE], [size, len(poses)]) ** -2.0
     covariance = np.linalg.inv(weighted.T @ jacobians + np.diag(prior))
@@ -430,11 +439,13 @@ def depth_shares(constraints: Sequence[Constraints], poses: Sequence[Pose]
 
 
 def _block_scales(residuals: np.ndarray, weights: np.ndarray, blocks: np.ndarray,
-                  least: float = BLOCK_DEVIATIONS[0]) -> tuple[np.ndarray, list[slice]]:
+                  is_sided: np.ndarray, least: float = BLOCK_DEVIATIONS[0]
+                  ) -> tuple[np.ndarray, list[slice]]:
     """
     Return by what the weights of points are multiplied so that a block is one measurement.
 
     :param residuals: (M,) metres, of M points; their weights (M,) and their B blocks (M,).
+    :param is_sided: (B,) bool, whether the scanned side of a block is certain.
     :param least: the least standard deviation that the points of a block have in common, metres.
     :returns: (B,) factors, and the points of each block.
     """
@@ -447,26 +458,28 @@ def _block_scales(residuals: np.ndarray, weights: np.ndarray, blocks: np.ndarray
     mean_square = np.bincount(blocks, weights * residuals ** 2) / total_weight
     # A fifth of the variance within a block is common to its points.
     variance = max(_block_deviation(residuals, parts), least) ** 2 + 0.2 * mean_square
+    variance[~is_sided] += UNSIDED_DEVIATION ** 2
     # A whole block counts as one measurement with this variance, a block of few points as less.
     fill_share = np.minimum(lengths / WHOLE_BLOCK_POINTS, 1.0)
     return fill_share / total_weight / variance, parts
 
 
 def _in_blocks(constraints: Sequence[Constraints], size: int, poses: Sequence[Pose] = ()
-               ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+               ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """
     Sort the points of constraints by blocks.
 
-    A block has an edge of a metre, one main axis of the normals, and is either of the scan or of
-    pairs of cameras.
+    A block has one main axis of the normals and is of pairs of cameras or of the scan: of surfaces
+    whose scanned side is certain, with an edge of a metre, or of others, with a longer one.
 
     :param poses: of the K cameras, to add K columns to the jacobians: the derivatives by the share
         by which depths are too long; empty: they are left out.
     :returns: of all M points with a weight, in the order of their blocks: jacobians (M, size),
-        residuals (M,), weights (M,) and the numbers of their blocks (M,).
+        residuals (M,), weights (M,) and the numbers of their blocks (M,); and whether the scanned
+        side of each of B blocks is certain (B,).
     """
     # Without any constraint, all arrays are empty.
-    rows, cells = [np.zeros((0, size + len(poses)))], [np.zeros((0, 5))]
+    rows, cells = [np.zeros((0, size + len(poses)))], [np.zeros((0, 6))]
     residuals, weights = [np.zeros(0)], [np.zeros(0)]
     for one in constraints:
         # Points of almost no weight are left out.
@@ -478,13 +491,21 @@ def _in_blocks(constraints: Sequence[Constraints], size: int, poses: Sequence[Po
         rows.append(full)
         cells.append(np.column_stack([
             np.floor(one.points[used]), np.abs(one.normals[used]).argmax(axis=1),
-            np.full(np.count_nonzero(used), one.other >= 0)]))
+            np.full(len(full), one.other >= 0),
+            np.ones(len(full)) if one.is_sided is None else one.is_sided[used]]))
         residuals.append(one.residuals[used])
         weights.append(one.weights[used])
-    blocks = np.unique(np.concatenate(cells), axis=0, return_inverse=True)[1].ravel()
+    values = np.concatenate(cells)
+    _, blocks = np.unique(values[:, :5], axis=0, return_inverse=True)
+    # Most of the points decide, since some are sided by chance.
+    values[:, 5] = (np.bincount(blocks.ravel(), values[:, 5])
+                    > 0.5 * np.bincount(blocks.ravel()))[blocks.ravel()]
+    values[values[:, 5] == 0.0, :3] //= UNSIDED_EDGE_M
+    found, blocks = np.unique(values, axis=0, return_inverse=True)
+    blocks = blocks.ravel()
     order = np.argsort(blocks, kind='stable')
     return (np.concatenate(rows)[order], np.concatenate(residuals)[order],
-            np.concatenate(weights)[order], blocks[order])
+            np.concatenate(weights)[order], blocks[order], found[:, 5] > 0.0)
 
 
 def _block_deviation(residuals: np.ndarray, parts: Sequence[slice]) -> float:
@@ -514,7 +535,7 @@ def certainties(constraints: Sequence[Constraints], names: Sequence[str],
     :param names: of the K cameras.
     :param anchors: see :func:`pose_covariance`; ``poses`` as well.
     """
-    covariance = pose_covariance(constraints, len(names), anchors, poses)
+    covariance, by_depths = pose_covariance(constraints, len(names), anchors, poses)
     found = []
     for k in range(len(names)):
         own = slice(6 * k, 6 * k + 6)
@@ -527,5 +548,5 @@ def certainties(constraints: Sequence[Constraints], names: Sequence[str],
                 half = one.jacobians[:, :6] if one.camera == k else one.jacobians[:, 6:]
                 sources[source] = sources.get(source, np.zeros((6, 6))) + (
                     half * one.weights[:, None]).T @ half
-        found.append(Certainty.of(covariance[own, own], sources))
+        found.append(Certainty.of(covariance[own, own], by_depths[own, own], sources))
     return found

@@ -17,9 +17,9 @@ Surfaces of a scan for registration, and which sides of them were scanned.
 
 If a panel was scanned from behind, its scanned face differs from the face that a camera in front
 measures by the thickness of the panel, which would displace the camera. Normals show which side
-was scanned. Without normals, only two kinds of surfaces are used as one-sided: those with nothing
-behind them in the scan, such as outer walls, floor and ceiling, and those with both sides in the
-scan.
+was scanned, and so do the places where the scanner stood, or may have stood. Besides, two kinds of
+surfaces are used as one-sided: those with nothing behind them in the scan, such as outer walls,
+floor and ceiling, and those with both sides in the scan. Others count less.
 """
 
 from functools import cached_property
@@ -34,6 +34,7 @@ from ocp_ros.geometry.visibility import FAST, SurfelVisibility
 from ocp_ros.registration.alignment import Surfaces
 from ocp_ros.scenes.neighbours import nearest
 from ocp_ros.scenes.scene import PLANE_NEIGHBOURS, Scene
+from ocp_ros.simulation.scan_evidence import only_sides
 from scipy.spatial import cKDTree
 
 
@@ -76,6 +77,7 @@ class ScanSurfaces:
                      for k in range(6) if np.count_nonzero(group == k) > PLANE_NEIGHBOURS]
         else:
             parts = [_thinned(scene.points, edge)]
+        self._scans = scene.scans
         # ``_pitch``: (N,) metres, the edge of the square of surface that each point stands for.
         self.points, self.normals, self._pitch = map(np.concatenate, zip(*parts))
 
@@ -96,6 +98,13 @@ class ScanSurfaces:
         # The empty array is for positions in the air, which are not needed here.
         return SurfelVisibility(self.points.astype(np.float32), self.normals.astype(np.float32),
                                 self._pitch, np.empty((0, 3), dtype=np.float32), FAST)
+
+    @cached_property
+    def _sides(self) -> np.ndarray:
+        """Return the side of points that was scanned: (N,), 1 along the normal, -1, 0 unknown."""
+        return only_sides(Scene(
+            self.points.astype(np.float32), normals=self.normals.astype(np.float32),
+            scans=self._scans), self._visibility)
 
     @cached_property
     def _two_sided(self) -> np.ndarray:
@@ -157,17 +166,21 @@ class ScanSurfaces:
             # A surface whose oriented normal faces the camera was scanned from that side.
             every = self._subset(kept & (facing > 0.0) & ~self._thin)
             return SurfacesInView(every, every)
+        towards = self._sides * facing
+        # A surface that was scanned from its other side alone is not the one in view.
+        kept &= towards >= 0.0
         # The other side lies against the normal if the normal faces the camera, else along it.
-        sided = (np.where(facing > 0.0, *self._two_sided)
-                 | self._outermost_from(pose.position, np.sign(facing)))
-        return SurfacesInView(self._subset(kept & sided), self._subset(kept))
+        sided = (towards > 0.0) | np.where(facing > 0.0, *self._two_sided) | self._outermost_from(
+            pose.position, np.sign(facing))
+        return SurfacesInView(self._subset(kept & sided), self._subset(kept, sided))
 
-    def _subset(self, kept: np.ndarray) -> Surfaces:
+    def _subset(self, kept: np.ndarray, is_sided: np.ndarray | None = None) -> Surfaces:
         """Return the surfaces of the points that ``kept`` (N,) marks; if none, a far point."""
         if not kept.any():
             # A point so far away has no matches.
             return Surfaces.of(np.full((1, 3), 1e6), np.array([[0.0, 0.0, 1.0]]), False)
-        return Surfaces.of(self.points[kept], self.normals[kept], self.oriented)
+        return Surfaces.of(self.points[kept], self.normals[kept], self.oriented,
+                           None if is_sided is None else is_sided[kept])
 
     def _outermost_from(self, position: np.ndarray, sign: np.ndarray) -> np.ndarray:
         """

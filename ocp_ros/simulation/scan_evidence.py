@@ -24,7 +24,7 @@ what a placement promises the proved ones.
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property, lru_cache, partial
+from functools import cached_property, lru_cache
 
 import numpy as np
 from ocp_ros.geometry.cameras import CameraModel, LEVEL, Pose
@@ -98,16 +98,10 @@ class ScanEvidence:
         low = scene.bounds[0] - CELL_M
         is_crossed = np.full(np.ceil((scene.size + 2.0 * CELL_M) / CELL_M).astype(int),
                              len(stations) == 0)
-        # Whether a station sees the side of the normal, and the other side.
-        is_seen = np.zeros((2, len(points)), dtype=bool)
         for station, own in zip(stations, seen):
-            offsets = station - points
-            cosine = (offsets * normals).sum(axis=1) / np.linalg.norm(offsets, axis=1)
-            min_cosine = 0.05
-            is_seen |= own & (np.stack([cosine, -cosine]) > min_cosine)
             cross_cells(station, points[own].astype(np.float64), low, CELL_M, is_crossed)
-        sides = is_seen[0].astype(np.int8) - is_seen[1]
-        return cls(scene, visibility.by(FINER), stations, points, normals, sides, low, is_crossed)
+        return cls(scene, visibility.by(FINER), stations, points, normals,
+                   _sides_seen(points, normals, stations, seen), low, is_crossed)
 
     def proved(self, seen: np.ndarray, position: np.ndarray | None, finer: bool = True
                ) -> np.ndarray:
@@ -185,29 +179,73 @@ class ScanEvidence:
         return lru_cache(maxsize=256)(seen_finer)
 
 
+def only_sides(scene: Scene, visibility: SurfelVisibility) -> np.ndarray:
+    """
+    Return the only side that can have been scanned of each point.
+
+    :param scene: the scan.
+    :param visibility: that of its points.
+    :returns: (N,) int8, in the order of the scan: 1 or -1 for the side of the normal or the other
+        one if the scans at their stations, or all places where a scanner can stand, see the point
+        from there only; else 0.
+    """
+    known = _known_stations(scene, visibility)
+    if known is None:
+        known = _places_of(scene), _seen_from_all(scene, visibility, _places_of(scene))
+    order, sides = visibility.order, np.empty(len(scene), dtype=np.int8)
+    sides[order] = _sides_seen(scene.points[order], scene.normals_or_estimate[order], *known)
+    return sides
+
+
+def _sides_seen(points: np.ndarray, normals: np.ndarray, places: np.ndarray, seen: np.ndarray
+                ) -> np.ndarray:
+    """
+    Return the sides of points that are seen.
+
+    :param places: (T, 3) metres.
+    :param seen: (T, N) bool, which points are seen from each.
+    :returns: (N,) int8, 1 for the side of the normal, -1 for the other one; 0 for both or none.
+    """
+    is_seen = np.zeros((2, len(points)), dtype=bool)
+    for place, own in zip(places, seen):
+        offsets = place - points
+        cosine = (offsets * normals).sum(axis=1) / np.linalg.norm(offsets, axis=1)
+        min_cosine = 0.05
+        is_seen |= own & (np.stack([cosine, -cosine]) > min_cosine)
+    return is_seen[0].astype(np.int8) - is_seen[1]
+
+
+def _known_stations(scene: Scene, visibility: SurfelVisibility
+                    ) -> tuple[np.ndarray, np.ndarray] | None:
+    """
+    Return the stations of a file, (T, 3) metres, and which points their scans have: (T, N) bool.
+
+    They count if they see nearly all points; a file of merged scans has the origin as its only
+    station.
+    """
+    if not scene.scans:
+        return None
+    stations = np.array([scan.station for scan in scene.scans])
+    is_seen = _seen_from_all(scene, visibility, stations).any(axis=0)
+    if np.mean(~is_seen) > MAX_UNSEEN_SHARE:
+        return None
+    return stations, _scanned_by(scene)[:, visibility.order]
+
+
 def _stations_of(scene: Scene, visibility: SurfelVisibility) -> tuple[np.ndarray, np.ndarray]:
     """
     Return the stations of a scan, (T, 3) metres, and which points each of them sees: (T, N) bool.
 
-    Those of the file count if they see nearly all points; a file of merged scans has the origin as
-    its only station. Each of them sees the points that its scan has. Otherwise they are chosen one
-    after the other, each of a grid of places that sees most of the points that the others do not
-    see.
+    If the file does not tell them, they are chosen one after the other, each of a grid of places
+    that sees most of the points that the others do not see.
     """
-    if scene.scans:
-        stations = np.array([scan.station for scan in scene.scans])
-        seen = np.stack(mapped(partial(_seen_from, scene, visibility), list(stations)))
-        if np.mean(~seen.any(axis=0)) <= MAX_UNSEEN_SHARE:
-            return stations, _scanned_by(scene)[:, visibility.order]
-    height = floor_height(scene) + STATION_HEIGHT_M
-    cells = Air(scene, FreePlane.of(scene.points, height, 1, 0.0, clearance=0.3)).cells(height)
-    # At most 400 places.
-    spacing = max(STATION_SPACING_M, float(np.sqrt(np.prod(scene.size[:2]) / 400.0)))
-    _, first = np.unique(np.floor(cells[:, :2] / spacing).astype(int), axis=0, return_index=True)
-    places, none = cells[first], (np.empty((0, 3)), np.empty((0, len(scene)), dtype=bool))
+    known = _known_stations(scene, visibility)
+    if known is not None:
+        return known
+    places, none = _places_of(scene), (np.empty((0, 3)), np.empty((0, len(scene)), dtype=bool))
     if len(places) == 0:
         return none
-    seen = np.stack(mapped(partial(_seen_from, scene, visibility), list(places)))
+    seen = _seen_from_all(scene, visibility, places)
     chosen, left = [], np.ones(len(scene), dtype=bool)
     while True:
         added = np.count_nonzero(seen[:, left], axis=1)
@@ -225,9 +263,20 @@ def _scanned_by(scene: Scene) -> np.ndarray:
     return distances <= np.maximum(OTHER_SIDE_M, 1.5 * distances.min(axis=0))
 
 
-def _seen_from(scene: Scene, visibility: SurfelVisibility, place: np.ndarray) -> np.ndarray:
-    """Return which points a scanner at a place sees: (N,) bool, in the engine's order."""
-    seen = no_bits(len(scene))
-    visibility.look(Pose(np.asarray(place, dtype=np.float64), LEVEL),
-                    CameraModel(0.0, scene.diameter).lens, seen)
-    return unpack(seen, len(scene))
+def _places_of(scene: Scene) -> np.ndarray:
+    """Return a grid of at most 400 places in free air where a scanner can stand, (T, 3) metres."""
+    height = floor_height(scene) + STATION_HEIGHT_M
+    cells = Air(scene, FreePlane.of(scene.points, height, 1, 0.0, clearance=0.3)).cells(height)
+    spacing = max(STATION_SPACING_M, float(np.sqrt(np.prod(scene.size[:2]) / 400.0)))
+    _, first = np.unique(np.floor(cells[:, :2] / spacing).astype(int), axis=0, return_index=True)
+    return cells[first]
+
+
+def _seen_from_all(scene: Scene, visibility: SurfelVisibility, places: np.ndarray) -> np.ndarray:
+    """Return which points a scanner at each place sees: (T, N) bool, in the engine's order."""
+    def seen_from(place: np.ndarray) -> np.ndarray:
+        seen = no_bits(len(scene))
+        visibility.look(Pose(np.asarray(place, dtype=np.float64), LEVEL),
+                        CameraModel(0.0, scene.diameter).lens, seen)
+        return unpack(seen, len(scene))
+    return np.array(mapped(seen_from, list(places)), dtype=bool).reshape(len(places), len(scene))
