@@ -563,7 +563,7 @@ def test_the_service_says_where_a_camera_hangs_and_drift_is_a_warning(graph, pro
                      placement_file=str(tmp_path / 'placement.yaml'))
     assert not calibrated(probe, lambda answer: 'room.ply' in answer.message).success
     # A broken scan has ended nothing, and can be mended.
-    save_scene(generate_room(SEED, 15_000), scan)
+    save_scene(generate_room(SEED, 40_000), scan)
     answer = calibrated(probe, lambda answer: answer.success)
     line, wrote = answer.message.splitlines()
     assert abs(float(line.split()[1]) - np.linalg.norm(AWAY)) < 0.01
