@@ -191,7 +191,8 @@ def only_sides(scene: Scene, visibility: SurfelVisibility) -> np.ndarray:
     """
     known = _known_stations(scene, visibility)
     if known is None:
-        known = _places_of(scene), _seen_from_all(scene, visibility, _places_of(scene))
+        places = _places_of(scene)
+        known = places, _seen_from_all(scene, visibility, places)
     order, sides = visibility.order, np.empty(len(scene), dtype=np.int8)
     sides[order] = _sides_seen(scene.points[order], scene.normals_or_estimate[order], *known)
     return sides
