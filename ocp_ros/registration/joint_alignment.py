@@ -382,9 +382,9 @@ def pose_covariance(constraints: Sequence[Constraints], cameras: int,
     """
     size = 6 * cameras
     jacobians, residuals, weights, blocks, sided = _in_blocks(constraints, size)
-    scanned = not poses or any(one.other < 0 for one in constraints)
+    has_scan = any(one.other < 0 for one in constraints)
     scale, parts = _block_scales(residuals, weights, blocks, sided,
-                                 BLOCK_DEVIATIONS[0 if scanned else 1])
+                                 BLOCK_DEVIATIONS[bool(poses) and not has_scan])
     count = len(parts)
     weighted = jacobians * weights[:, None]
     information = weighted.T @ jacobians
@@ -496,10 +496,9 @@ def _in_blocks(constraints: Sequence[Constraints], size: int, poses: Sequence[Po
         residuals.append(one.residuals[used])
         weights.append(one.weights[used])
     values = np.concatenate(cells)
-    _, blocks = np.unique(values[:, :5], axis=0, return_inverse=True)
+    blocks = np.unique(values[:, :5], axis=0, return_inverse=True)[1].ravel()
     # Most of the points decide, since some are sided by chance.
-    values[:, 5] = (np.bincount(blocks.ravel(), values[:, 5])
-                    > 0.5 * np.bincount(blocks.ravel()))[blocks.ravel()]
+    values[:, 5] = (np.bincount(blocks, values[:, 5]) > 0.5 * np.bincount(blocks))[blocks]
     values[values[:, 5] == 0.0, :3] //= UNSIDED_EDGE_M
     found, blocks = np.unique(values, axis=0, return_inverse=True)
     blocks = blocks.ravel()
