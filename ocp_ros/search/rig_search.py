@@ -202,6 +202,7 @@ class ColumnGenerationSearch:
                 TUNING.distances_m):
             if not results or deadline():
                 break
+            relaxation.known_loss = min(relaxation.known_loss, results[0].loss)
             results = (self._refine_again if self._relaxed else self._repeat_near)(
                 relaxation, results, distance_m, deadline)
         if not results:
@@ -217,6 +218,7 @@ class ColumnGenerationSearch:
             self._add_near(relaxation, best, TUNING.distances_m[0])
             # Without the margin of the search.
             best = best._replace(loss=self.problem.objective.loss(views_of(best.sites)))
+        relaxation.known_loss = min(relaxation.known_loss, best.loss)
         # The losses of all searches, for the report: one for each refined choice, and two for a
         # given placement, refined and as given. ``first_results`` is sorted and the repetitions
         # start from its first results, so the final loss replaces the first one.

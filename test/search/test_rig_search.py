@@ -28,6 +28,7 @@ from ocp_ros.search.candidate_pool import CandidatePool
 from ocp_ros.search.pose_grid import PoseGrid
 from ocp_ros.search.proof.certificate import Certificate
 from ocp_ros.search.proof.column_generation import Column, ColumnGeneration
+from ocp_ros.search.proof.cut_program import CutProgram
 from ocp_ros.search.proof.loss_trees import LossTrees, poses_by_point
 from ocp_ros.search.rig_plan import RigPlanner
 from ocp_ros.search.rig_search import (
@@ -41,6 +42,7 @@ from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import View
 from ocp_ros.util.yaml_files import Document
 import pytest
+from scipy.optimize import linprog
 from scipy.spatial.distance import cdist
 import yaml
 
@@ -202,6 +204,37 @@ def test_bounds_of_goals_that_count_in_part_are_below_all_choices_too(more):
                 for chosen in combinations(range(len(views)), 3)
                 if not any(near[pair] for pair in combinations(chosen, 2)))
     assert relaxation.closed and 0.0 < relaxation.bound <= least + 1e-6
+
+
+@pytest.mark.parametrize('one_by_one', [False, True])
+def test_many_cuts_are_solved_and_those_left_out_change_no_optimum(one_by_one):
+    rng, parts, poses, chosen, numbers = np.random.default_rng(0), 16, 300, 16, 40
+    constants = rng.uniform(0.5, 1.0, (numbers, parts))
+    gains = 3.0 / chosen * rng.uniform(size=(numbers, parts, poses)) ** 3 * (
+        rng.random((numbers, parts, poses)) < 0.3)
+    program = CutProgram(np.zeros(poses, dtype=np.int64), [chosen], parts)
+    for number in range(numbers):
+        program.add_cuts(number, constants[number], gains[number])
+        solution = program.solve(lambda: False) if one_by_one else None
+    if one_by_one:
+        # These have to return if they are binding.
+        left_out = set(np.ndindex(numbers, parts)) - set(map(tuple, program.cuts))
+        assert len(left_out) > numbers
+        for number in range(numbers):
+            program.add_cuts(number, constants[number], gains[number])
+    solution = program.solve(lambda: False)
+    expected = linprog(
+        np.repeat([1.0, 0.0], [parts, poses]), bounds=[(0, None)] * parts + [(0, 1)] * poses,
+        A_ub=-np.hstack([np.tile(np.eye(parts), (numbers, 1)), gains.reshape(-1, poses)]),
+        b_ub=-constants.ravel(), A_eq=np.repeat([[0.0, 1.0]], [parts, poses], axis=1),
+        b_eq=[chosen]).fun
+    assert solution.optimal
+    assert solution.losses.sum() == pytest.approx(expected)
+    # The multipliers are those of the cuts that remain: they prove the optimum.
+    number, part = program.cuts.T
+    pose_gains = np.sort(solution.multipliers @ gains[number, part])[-chosen:]
+    assert solution.multipliers @ constants[number, part] - pose_gains.sum() == pytest.approx(
+        expected)
 
 
 def test_poses_that_join_later_count():

@@ -17,7 +17,8 @@ Column generation: a lower bound for all poses of dense grids, and good choices 
 
 A linear program chooses among some hundred poses of the grids, its *columns*. Its loss is bounded
 from below by Benders cuts, which are linear (:mod:`ocp_ros.search.proof.loss_trees`). They are
-computed at its optima and half way from them to a core point, an interior point of the relaxation.
+computed at points between its optima and a core point, an interior point of the relaxation, and at
+an optimum itself once its loss seems to be exact.
 The multipliers of the cuts give the gains of all poses of the grids. The gains prove a bound that
 holds for every choice of these poses (a Lagrangian bound), and the poses with the largest gains
 become columns, until no pose would improve the choice.
@@ -50,6 +51,10 @@ class ColumnTuning:
     :ivar first_tolerance: largest difference between the optimum of the first program and its
         loss, as a share of the loss.
     :ivar later_tolerance: the same for the later programs.
+    :ivar open_tolerance: nothing is computed more exactly than this share of the difference of the
+        least known loss and the relaxed one: for a bound on all places, and for choices at some.
+    :ivar core_step: share of the way to the optimum by which the core point moves.
+    :ivar old_core: share of the last core point in the first one of the next program.
     :ivar max_rounds: largest number of optima of a program.
     :ivar max_programs: largest number of programs.
     :ivar closed_gap: largest relative difference of bound and optimum of a closed bound.
@@ -63,9 +68,12 @@ class ColumnTuning:
     first_columns: int = 300
     new_columns: int = 150
     new_columns_per_place: int = 3
-    dropped_gain_share: float = 0.5
+    dropped_gain_share: float = 0.7
     first_tolerance: float = 0.01
     later_tolerance: float = 0.002
+    open_tolerance: tuple[float, float] = (0.1, 0.25)
+    core_step: float = 0.3
+    old_core: float = 0.8
     max_rounds: int = 60
     max_programs: int = 12
     closed_gap: float = 0.004
@@ -113,6 +121,7 @@ class ColumnGeneration:
         poses of the grids, except at places that were added later.
     :ivar closed: whether the bound is the best that the relaxation can give.
     :ivar steps: number of optima and of passes over all poses since the bound began to rise.
+    :ivar known_loss: least loss of a placement that is known, also off the grids.
     """
 
     def __init__(self, trees: LossTrees, grids: Sequence[PoseGrid], counts: Sequence[int],
@@ -123,10 +132,16 @@ class ColumnGeneration:
         self.spacing = spacing
         self._point_count = points
         self.steps = 0
+        self.known_loss = np.inf
         #: Columns of the greedy choice, which are always kept; None before the first program.
         self._greedy: list[Column] | None = None
         #: The loss of the shares, which is not below the optimum of the program.
         self._relaxed_loss = np.inf
+        #: Whether the last program was solved.
+        self._is_solved = False
+        #: The last core point: the share of each of its columns.
+        self._core: dict[Column, float] = {}
+        self._open_tolerance = TUNING.open_tolerance[0]
         #: For each active cut, the unserved nodes of its choice: (T / 8,) uint8, packed bits.
         self._cut_nodes: list[np.ndarray] = []
         rng = np.random.default_rng(0)
@@ -196,9 +211,12 @@ class ColumnGeneration:
         if self._greedy:
             # The programs cannot raise the bound above the loss of the greedy choice.
             shares = np.array([column in self._greedy for column in self._columns], dtype=float)
-            if self._merged_loss(shares) <= TUNING.negligible_loss:
+            greedy_loss = self._merged_loss(shares)
+            self.known_loss = min(self.known_loss, greedy_loss)
+            if greedy_loss <= TUNING.negligible_loss:
                 self._shares, self.closed = shares, True
                 return
+        self._open_tolerance = TUNING.open_tolerance[places is not None]
         places = [np.arange(len(grid.places)) for grid in self.grids] if places is None else places
         for number in range(TUNING.max_programs):
             # Solve the linear program of the columns.
@@ -219,10 +237,11 @@ class ColumnGeneration:
                 np.sort(column_gains[self._grid_numbers == grid])[::-1][:count].min(initial=np.inf)
                 for grid, count in enumerate(self.counts)])
             new_columns = self._improving_columns(gains, chosen_gains)
-            max_gap = TUNING.closed_gap * max(optimum, TUNING.min_loss)
+            max_gap = self._allowed(TUNING.closed_gap, optimum)
             # The optimum of the first program is too inexact for the gap.
-            self.closed = (not new_columns or bool(number and optimum - self.bound <= max_gap)
-                           or self._relaxed_loss <= TUNING.negligible_loss)
+            self.closed = self._is_solved and (
+                not new_columns or bool(number and optimum - self.bound <= max_gap)
+                or self._relaxed_loss <= TUNING.negligible_loss)
             # After the last program, its shares are needed for choices.
             if self.closed or should_stop() or number == TUNING.max_programs - 1:
                 return
@@ -271,6 +290,11 @@ class ColumnGeneration:
         # The zeros stand for missing poses if there are fewer than ``count``.
         return float(np.sort(np.concatenate([*per_place, np.zeros(count)]))[-count:].sum())
 
+    def _allowed(self, tolerance: float, loss: float) -> float:
+        """Return the error that matters neither beside a loss nor beside what it leaves open."""
+        return max(tolerance * max(loss, TUNING.min_loss),
+                   self._open_tolerance * (min(self.known_loss, 1.0) - loss))
+
     def _solve_relaxation(self, tolerance: float, should_stop: Callable[[], bool]
                           ) -> tuple[float, np.ndarray, float]:
         """
@@ -283,8 +307,14 @@ class ColumnGeneration:
         trees = self._merged
         count, nodes = len(self._columns), len(trees.weights)
         program = CutProgram(self._grid_numbers, self.counts, len(trees.slacks))
-        # The first core point has equal shares for all columns of a grid.
+        # The first core point has equal shares for all columns of a grid, the others more of the
+        # old one.
         core = (self.counts / np.bincount(self._grid_numbers))[self._grid_numbers]
+        if self._core:
+            old = np.array([self._core.get(column, 0.0) for column in self._columns])
+            totals = np.bincount(self._grid_numbers, old)
+            old *= (self.counts / totals)[self._grid_numbers]
+            core += TUNING.old_core * (old - core)
         # Start from the active cuts of the last program; the first program starts from cuts at the
         # core point. The program numbers these cuts from 0, and goes on with the new ones.
         old_cuts = self._cut_nodes
@@ -315,12 +345,16 @@ class ColumnGeneration:
             solution = program.solve(should_stop)
             self.steps += 1
             optimum = solution.losses.sum()
-            # The loss at the solution: the largest value of the new cuts there.
-            loss = max(add_cuts(shares, solution)
-                       for shares in (solution.shares, 0.5 * (core + solution.shares)))
-            core = 0.5 * (core + solution.shares)
-            converged = (loss - optimum <= tolerance * max(loss, TUNING.min_loss)
-                         or loss <= TUNING.negligible_loss)
+            core += TUNING.core_step * (solution.shares - core)
+            # The loss at the solution: the largest value of the new cuts there. The cut at the
+            # solution itself gives its loss, and is the weaker one until the program is solved.
+            loss = 0.0
+            for shares in (core, solution.shares):
+                loss = max(loss, add_cuts(shares, solution))
+                converged = (loss - optimum <= self._allowed(tolerance, loss)
+                             or loss <= TUNING.negligible_loss)
+                if not converged:
+                    break
             if converged or not solution.optimal or should_stop():
                 break
 
@@ -348,6 +382,10 @@ class ColumnGeneration:
                 slack -= solution.multipliers[k] * trees.slacks[part]
         multipliers *= self.trees.weights
         self._shares, self._relaxed_loss = solution.shares, loss
+        self._is_solved = solution.optimal
+        if not solution.optimal:
+            self._cut_nodes = old_cuts
+        self._core = dict(zip(self._columns, core))
         return float(optimum), multipliers, float(multipliers.sum() + slack)
 
     def _pose_gains(self, multipliers: np.ndarray, places: Sequence[np.ndarray],
@@ -444,6 +482,7 @@ class ColumnGeneration:
             losses[tuple(sorted(chosen))] = loss
             if len(losses) > count or should_stop():
                 break
+        self.known_loss = min(self.known_loss, *losses.values(), np.inf)
         return sorted(Choice(loss, tuple(self._columns[k] for k in rows))
                       for rows, loss in losses.items())[:count]
 
@@ -461,31 +500,27 @@ class ColumnGeneration:
     def _exchange_poses(self, chosen: list[int], allowed: np.ndarray,
                         should_stop: Callable[[], bool]) -> float:
         """Replace in ``chosen`` one column at a time while this helps; return the last loss."""
-        # In the first round, any exchange helps, also of a column for itself.
-        loss = np.inf
-        while True:
-            best_loss = loss * (1.0 - TUNING.equal_loss)
-            exchange: tuple[int, int] | None = None
-            for number, old in enumerate(chosen):
-                others = chosen[:number] + chosen[number + 1:]
-                shares = np.zeros(len(self._columns))
-                shares[others] = 1.0
-                # The cuts at the other poses give the exact loss after adding any one column.
-                unserved = self._merged.unserved_nodes(self._seen_by, shares)
-                constants, gains = self._merged.loss_cuts(
-                    self._seen_by, len(shares), self._merged.weights * unserved)
-                losses = np.maximum(constants[:, None] - gains, 0.0).sum(axis=0)
-                # The new column is one of the same grid, far enough from the others.
-                feasible = allowed & (self._grid_numbers == self._grid_numbers[old])
-                feasible &= ~self._too_near[others].any(axis=0)
-                feasible[others] = False
-                losses[~feasible] = np.inf
-                if losses.min() < best_loss:
-                    best_loss = float(losses.min())
-                    exchange = number, int(np.argmin(losses))
-            if exchange is None:
-                return loss
-            loss = best_loss
-            chosen[exchange[0]] = exchange[1]
+        # The first exchange helps in any case, also of a column for itself.
+        loss, number, unchanged = np.inf, 0, 0
+        while unchanged < len(chosen):
+            others = chosen[:number] + chosen[number + 1:]
+            shares = np.zeros(len(self._columns))
+            shares[others] = 1.0
+            # The cuts at the other poses give the exact loss after adding any one column.
+            unserved = self._merged.unserved_nodes(self._seen_by, shares)
+            constants, gains = self._merged.loss_cuts(
+                self._seen_by, len(shares), self._merged.weights * unserved)
+            losses = np.maximum(constants[:, None] - gains, 0.0).sum(axis=0)
+            # The new column is one of the same grid, far enough from the others.
+            feasible = allowed & (self._grid_numbers == self._grid_numbers[chosen[number]])
+            feasible &= ~self._too_near[others].any(axis=0)
+            feasible[others] = False
+            losses[~feasible] = np.inf
+            unchanged += 1
+            if losses.min() < loss * (1.0 - TUNING.equal_loss):
+                best = int(np.argmin(losses))
+                loss, unchanged, chosen[number] = float(losses[best]), 1, best
+            number = (number + 1) % len(chosen)
             if should_stop():
-                return loss
+                break
+        return loss

@@ -20,6 +20,12 @@ from typing import NamedTuple
 import numpy as np
 from ocp_ros.util.settings import need
 
+#: Solutions in a row at which a cut is not binding before it is left out, and the least number of
+#: cuts that are left out at a time.
+SLACK_SOLUTIONS, LEFT_OUT_TOGETHER = 8, 16
+#: Iterations of a run, largest number of runs, and the run that starts anew by interior points.
+RUN_ITERATIONS, MAX_RUNS, NEW_START_RUN = 300, 20, 4
+
 
 class Optimum(NamedTuple):
     """
@@ -42,7 +48,8 @@ class CutProgram:
     """
     Minimise the sum of the losses of B parts, none below 0, over choices among n poses.
 
-    A cut is a lower bound of the loss of a part, linear in the choice.
+    A cut is a lower bound of the loss of a part, linear in the choice. Cuts that have not been
+    binding for some solutions in a row leave the program.
 
     :param groups: (n,) int64, the group of each pose: a group has the poses of one camera model.
     :param counts: (G,) number of poses to choose from each group.
@@ -57,10 +64,13 @@ class CutProgram:
         self._part_count = parts
         self._group_count = len(counts)
         self.cuts = np.empty((0, 2), dtype=np.int64)
+        #: For each cut, the number of solutions in a row at which it was not binding.
+        self._slack_for = np.empty(0, dtype=np.int64)
         self._solver = self._highs.Highs()
-        # A run ends after 300 iterations, so that ``solve`` can stop between the runs.
-        for name, value in (('output_flag', False), ('threads', 1),
-                            ('simplex_iteration_limit', 300)):
+        # A run ends at a limit, so that ``solve`` can stop between the runs. A run that ends there
+        # loses its progress if a presolve has changed the program.
+        for name, value in (('output_flag', False), ('threads', 1), ('presolve', 'off'),
+                            ('simplex_iteration_limit', RUN_ITERATIONS)):
             self._solver.setOptionValue(name, value)
         members = groups == np.arange(len(counts))[:, None]
         program = self._highs.HighsLp()
@@ -95,13 +105,14 @@ class CutProgram:
             self._solver.addRow(constants[part], self._highs.kHighsInf, len(columns), columns,
                                 np.append(1.0, gains[part, poses]))
             self.cuts = np.vstack([self.cuts, (number, part)])
+            self._slack_for = np.append(self._slack_for, 0)
 
     def solve(self, should_stop: Callable[[], bool]) -> Optimum:
         """Solve the program; if ``should_stop`` returns True, return the solution so far."""
-        # Each run ends at the iteration limit. Degenerate programs may cycle, so the number of
-        # runs is limited too.
-        max_runs = 20
-        for _ in range(max_runs):
+        # Degenerate programs may cycle: interior points solve those, and start a program.
+        for run in range(MAX_RUNS):
+            by_points = run == NEW_START_RUN or not self._solver.getBasis().valid
+            self._solver.setOptionValue('solver', 'ipm' if by_points else 'simplex')
             self._solver.run()
             status = self._solver.getModelStatus()
             if status != self._highs.HighsModelStatus.kIterationLimit or should_stop():
@@ -110,10 +121,31 @@ class CutProgram:
         values = np.nan_to_num(np.array(solution.col_value))
         # The rows of the groups are before those of the cuts.
         duals = np.nan_to_num(np.array(solution.row_dual)[self._group_count:])
+        optimal = status == self._highs.HighsModelStatus.kOptimal
+        if optimal:
+            duals = duals[self._leave_out_slack_cuts()]
         # Rounding or an early end may make the duals invalid, so they are moved into their limits.
         multipliers = np.maximum(duals, 0.0)
         parts = self.cuts[:, 1]
         totals = np.bincount(parts, multipliers, self._part_count)
         losses, shares = np.split(values, [self._part_count])
-        return Optimum(status == self._highs.HighsModelStatus.kOptimal, losses,
-                       np.clip(shares, 0.0, 1.0), multipliers / np.maximum(totals, 1.0)[parts])
+        return Optimum(optimal, losses, np.clip(shares, 0.0, 1.0),
+                       multipliers / np.maximum(totals, 1.0)[parts])
+
+    def _leave_out_slack_cuts(self) -> np.ndarray:
+        """Leave out cuts that have not been binding for long; return which remain: (R,) bool."""
+        basis = self._solver.getBasis()
+        slack = np.array([status == self._highs.HighsBasisStatus.kBasic
+                          for status in basis.row_status[self._group_count:]], dtype=bool)
+        self._slack_for = np.where(slack, self._slack_for + 1, 0)
+        kept = self._slack_for < SLACK_SOLUTIONS
+        if len(kept) - kept.sum() < LEFT_OUT_TOGETHER:
+            return np.ones(len(kept), dtype=bool)
+        rows = np.append(np.ones(self._group_count, dtype=bool), kept)
+        left_out = np.flatnonzero(~rows).astype(np.int32)
+        self._solver.deleteRows(len(left_out), left_out)
+        # The basis stays one without its slack rows.
+        basis.row_status = [status for status, keep in zip(basis.row_status, rows) if keep]
+        self._solver.setBasis(basis)
+        self.cuts, self._slack_for = self.cuts[kept], self._slack_for[kept]
+        return kept
