@@ -65,46 +65,33 @@ def read_count(text: str) -> int:
     return 0 if text == 'auto' else read_cameras(text)
 
 
-def read_seconds(text: str) -> float:
-    """Read a time in seconds, above 0."""
-    return read_number(text, 'seconds above 0', lambda value: 0.0 < value < math.inf)
-
-
-def read_distance(text: str) -> float:
-    """Read a distance in metres, above 0 and below a kilometre."""
-    return read_number(text, 'metres above 0', lambda value: 0.0 < value < 1000.0)
-
-
-def read_share(text: str) -> float:
-    """Read a share, above 0 and at most 1."""
-    return read_number(text, 'a share above 0, at most 1', lambda value: 0.0 < value <= 1.0)
-
-
-def read_price(text: str) -> float:
-    """Read a price above 0."""
-    return read_number(text, 'a price above 0', lambda value: 0.0 < value < math.inf)
-
-
-def read_number(text: str, expected: str, is_valid: Callable[[float], bool]) -> float:
+def number(expected: str, low: float = 1e-6, high: float = math.inf) -> Callable[[str], float]:
     """
-    Read a number and check it.
+    Return a function that reads a number from a text.
 
     :param expected: description of a valid number, for the error.
-    :param is_valid: returns whether a number is valid.
-    :raises argparse.ArgumentTypeError: if the text is no number, or the number is not valid.
+    :param low: smallest number.
+    :param high: largest number.
     """
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not is_valid(value):
-        raise argparse.ArgumentTypeError(f'found {text!r}; expected {expected}')
-    return value
+    def read(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not (low <= value <= high and math.isfinite(value)):
+            raise argparse.ArgumentTypeError(f'found {text!r}; expected {expected}')
+        return value
+    return read
 
 
-def read_scale(text: str) -> float:
-    """Read metres per unit; refuse 0, which in settings means the unit of the file."""
-    return read_number(text, 'metres per unit, above 0', lambda value: 0.0 < value < math.inf)
+read_positive = number('a number above 0')
+read_seconds = number('seconds above 0')
+read_delay = number('seconds, 0 or more', low=0.0)
+read_distance = number('metres above 0', high=1000.0)
+read_share = number('a share above 0, at most 1', high=1.0)
+read_price = number('a price above 0')
+#: In settings 0 means the unit of the file.
+read_scale = number('metres per unit, above 0', low=1e-12)
 
 
 def read_names(text: str) -> tuple[str, ...]:
@@ -185,13 +172,6 @@ def add_room(command: argparse.ArgumentParser) -> None:
     command.add_argument('room', metavar='ROOM', help='a scan, or the seed of a generated room')
 
 
-def add_points(command: argparse.ArgumentParser) -> None:
-    """Add the option ``--points``, the largest number of points of a room."""
-    command.add_argument('--points', type=read_room_points, metavar='N',
-                         help='number of points of a generated room; a larger scan is thinned to '
-                         'this number; default: 60000; with a placement: its number')
-
-
 def add_placement(command: argparse.ArgumentParser, **options: Any) -> None:
     """
     Add the argument ``placement`` and the option ``--rig``.
@@ -211,9 +191,17 @@ def add_overwrite(command: argparse.ArgumentParser) -> None:
                          'outside ./out; inputs are never replaced')
 
 
-def add_reading(command: argparse.ArgumentParser) -> None:
-    """Add the options for reading a scan: units, axes, and the points to leave out."""
+def add_reading(command: argparse.ArgumentParser, points: bool = True) -> None:
+    """
+    Add the options for reading a scan: units, axes, and the points to leave out.
+
+    :param points: whether to add ``--points``, the largest number of points of a room.
+    """
     add_units(command)
+    if points:
+        command.add_argument('--points', type=read_room_points, metavar='N',
+                             help='number of points of a generated room; a larger scan is thinned '
+                             'to this number; default: 60000; with a placement: its number')
     command.add_argument('--drop-nonfinite', action='store_true', help='leave out points with NaN '
                          'or inf, which organised clouds contain')
     command.add_argument('--all-rooms', action='store_true', help='keep what the scan shows of '

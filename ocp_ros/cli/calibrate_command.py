@@ -92,7 +92,7 @@ def add_arguments(commands: Commands) -> None:
                          help='before the names of frames in the launch file')
     add_export(command, 'launch')
     add_overwrite(command)
-    add_reading(command)
+    add_reading(command, points=False)
     command.set_defaults(run=run, show=show)
 
 

@@ -22,7 +22,6 @@ from ocp_ros.cli.arguments import (
     add_frame,
     add_overwrite,
     add_placement,
-    add_points,
     add_reading,
     read_names,
     room_asked,
@@ -50,7 +49,6 @@ def add_arguments(commands: Commands) -> None:
                          help='folder for the files')
     add_frame(command)
     add_overwrite(command)
-    add_points(command)
     add_reading(command)
     command.set_defaults(run=run, show=show_written)
 

@@ -18,7 +18,7 @@ import argparse
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-from ocp_ros.cli.arguments import add_overwrite, add_points, add_reading, add_room, room_asked
+from ocp_ros.cli.arguments import add_overwrite, add_reading, add_room, room_asked
 from ocp_ros.cli.common import claim_file, Commands, Found, LOOK, show_written
 
 
@@ -29,7 +29,6 @@ def add_arguments(commands: Commands) -> None:
     add_room(command)
     command.add_argument('--out', type=Path, default=Path('out/info.png'), help='picture to write')
     add_overwrite(command)
-    add_points(command)
     add_reading(command)
     command.set_defaults(run=run, show=show)
 

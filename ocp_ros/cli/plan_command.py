@@ -30,7 +30,6 @@ from ocp_ros.cli.arguments import (
     add_export,
     add_frame,
     add_overwrite,
-    add_points,
     add_reading,
     add_room,
     read_cameras,
@@ -95,7 +94,6 @@ def add_arguments(commands: Commands) -> None:
     add_export(command)
     add_frame(command)
     add_overwrite(command)
-    add_points(command)
     add_reading(command)
     command.set_defaults(run=run, show=show)
 

@@ -15,10 +15,9 @@
 """``ocp replay``: publish the clouds of a bag."""
 
 import argparse
-import math
 from pathlib import Path
 
-from ocp_ros.cli.arguments import read_number
+from ocp_ros.cli.arguments import read_delay, read_positive
 from ocp_ros.cli.common import Commands, Found, no_ros, REPLAY
 from ocp_ros.util.terminal_text import printable
 
@@ -34,11 +33,11 @@ def add_arguments(commands: Commands) -> None:
     command.add_argument('--topics', nargs='+', default=(), metavar='TOPIC[:=NEW]',
                          help='topics to publish, with new names; default: all clouds and the '
                          'camera poses')
-    command.add_argument('--rate', type=_read_positive, default=1.0, help='speed factor')
+    command.add_argument('--rate', type=read_positive, default=1.0, help='speed factor')
     command.add_argument('--loop', action='store_true', help='start again at the end')
-    command.add_argument('--start', type=_read_seconds, default=0.0, help='seconds to skip at the '
-                         'beginning')
-    command.add_argument('--duration', type=_read_positive, help='seconds of the bag to publish')
+    command.add_argument('--start', type=read_delay, default=0.0,
+                         help='seconds to skip at the beginning')
+    command.add_argument('--duration', type=read_positive, help='seconds of the bag to publish')
     command.add_argument('--frame', action='append', default=[], metavar='[TOPIC=]FRAME',
                          help='frame of the clouds, instead of the recorded one; may be repeated')
     command.add_argument('--pose', action='append', default=[], metavar='X,Y,Z[,YAW,PITCH,ROLL]',
@@ -46,8 +45,8 @@ def add_arguments(commands: Commands) -> None:
                          'write --pose=-1,0,2 if the first number is negative')
     command.add_argument('--fixed-frame', default='map', metavar='FRAME',
                          help='frame of the poses')
-    command.add_argument('--wait', type=_read_seconds, default=10.0, help='seconds to wait for a '
-                         'subscriber')
+    command.add_argument('--wait', type=read_delay, default=10.0,
+                         help='seconds to wait for a subscriber')
     command.set_defaults(run=run, show=show)
 
 
@@ -75,13 +74,3 @@ def show(result: Found) -> None:
         print(printable(f'{name} -> {topic["as"]}: {topic["messages"]} messages'))
     if result['left_out']:
         print(f'left out {result["left_out"]} messages that could not be used')
-
-
-def _read_seconds(text: str) -> float:
-    """Read seconds, 0 or more."""
-    return read_number(text, 'seconds, 0 or more', lambda value: 0.0 <= value < math.inf)
-
-
-def _read_positive(text: str) -> float:
-    """Read a number above 0, at least 0.000001."""
-    return read_number(text, 'a number above 0', lambda value: 1e-6 <= value < math.inf)

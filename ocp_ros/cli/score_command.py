@@ -22,7 +22,6 @@ from ocp_ros.cli.arguments import (
     add_frame,
     add_overwrite,
     add_placement,
-    add_points,
     add_reading,
     add_room,
     room_and_placement,
@@ -42,7 +41,6 @@ def add_arguments(commands: Commands) -> None:
     add_export(command)
     add_frame(command)
     add_overwrite(command)
-    add_points(command)
     add_reading(command)
     command.set_defaults(run=run, show=show)
 

@@ -19,7 +19,6 @@ from pathlib import Path
 
 from ocp_ros.cli.arguments import (
     add_export,
-    add_points,
     add_reading,
     room_and_placement,
     room_asked,
@@ -50,7 +49,6 @@ def add_arguments(commands: Commands) -> None:
                         help='port, or the first one to try; 0: any free one; default: '
                              f'{FIRST_PORT}')
     add_export(studio)
-    add_points(studio)
     add_reading(studio)
     studio.set_defaults(run=run, show=lambda found: None)
 

@@ -22,7 +22,6 @@ import webbrowser
 from ocp_ros.cli.arguments import (
     add_overwrite,
     add_placement,
-    add_points,
     add_reading,
     add_room,
     room_and_placement,
@@ -42,7 +41,6 @@ def add_arguments(commands: Commands) -> None:
     command.add_argument('--out', type=Path, default=Path('out/view.html'), help='page to write')
     command.add_argument('--open', action='store_true', help='open the page in a browser')
     add_overwrite(command)
-    add_points(command)
     add_reading(command)
     command.set_defaults(run=run, show=show_written)
 

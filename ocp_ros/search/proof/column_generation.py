@@ -141,7 +141,6 @@ class ColumnGeneration:
         self._is_solved = False
         #: The last core point: the share of each of its columns.
         self._core: dict[Column, float] = {}
-        self._open_tolerance = TUNING.open_tolerance[0]
         #: For each active cut, the unserved nodes of its choice: (T / 8,) uint8, packed bits.
         self._cut_nodes: list[np.ndarray] = []
         rng = np.random.default_rng(0)
