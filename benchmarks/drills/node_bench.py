@@ -49,6 +49,7 @@ from ocp_ros.geometry.cameras import heading_of, rotation_matrix
 from ocp_ros.geometry.engine_config import PROMISING
 from ocp_ros.geometry.packed_bits import Subset
 from ocp_ros.rig.motion import towards, turned_towards
+from ocp_ros.rig.rig_file import MOVING
 from ocp_ros.rooms.room_sets import VALIDATION
 from ocp_ros.ros.interface import qos, topics
 from ocp_ros.ros.interface.conversions import (
@@ -58,7 +59,6 @@ from ocp_ros.ros.interface.conversions import (
     positions_to_msg,
     stamp_to_ns,
 )
-from ocp_ros.ros.policy.policy_config import LIVE_DEFAULTS
 from ocp_ros.ros.runtime.node_main import LOCALHOST_ENVIRONMENT
 from ocp_ros.scenes.source_frame import BY_FILE
 from ocp_ros.search.budget import Budget
@@ -406,7 +406,7 @@ def main(args: list[str] | None = None) -> int:
                 if key in before}
         results.write('nodes', {
             'unit': 'seconds from the newest cloud to the command, median and 99 %; turns of '
-                    f'{LIVE_DEFAULTS["max_step"]} m',
+                    f'{MOVING["max_step"]} m',
             **kept, **found, 'load_average': os.getloadavg()[1], 'cores': cores()},
             results.command_of('drills.node_bench', args))
     return 0

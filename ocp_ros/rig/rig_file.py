@@ -43,6 +43,9 @@ MAX_GAP = np.deg2rad(120.0)
 DEFAULT_HEIGHTS_M = {'plane': (1.9, 1.9), 'ceiling': None, 'walls': (1.5, 2.5), 'free': (1.5, 2.5)}
 #: Cameras on a plane below this height stand on tripods, unless the file gives a footprint.
 MAX_TRIPOD_HEIGHT_M = 2.2
+#: Limits of a turn of cameras that move themselves: turns, metres and radians. With short steps,
+#: cameras on tripods end at furniture.
+MOVING = {'turns': 12, 'max_step': 1.5, 'max_turn': 1.6}
 #: Default radius of free floor below a camera on a tripod, metres.
 TRIPOD_FOOTPRINT_M = 0.4
 

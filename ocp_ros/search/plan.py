@@ -33,7 +33,7 @@ import time
 import numpy as np
 from ocp_ros.geometry.engine_config import PROMISING
 from ocp_ros.online.step import play
-from ocp_ros.rig.rig_file import rig_of
+from ocp_ros.rig.rig_file import MOVING, rig_of
 from ocp_ros.rooms.generator import generate_room
 from ocp_ros.search.budget import Budget, Progress
 from ocp_ros.search.candidate_pool import CandidatePool, check_regions, MountedCamera, pool_of
@@ -43,7 +43,7 @@ from ocp_ros.search.pose_decoder import Decoder
 from ocp_ros.search.registry import OBSERVED, PLANNERS, RIG_SEARCH, SCAN
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.problem import Problem
-from ocp_ros.simulation.simulation_config import SimulationConfig
+from ocp_ros.simulation.simulation_config import EpisodeConfig, SimulationConfig
 from ocp_ros.util.resources import DEFAULT_MODEL
 from ocp_ros.util.threads import return_freed_arrays
 
@@ -158,12 +158,16 @@ def _place_by_episode(make: Callable, problem: Problem, pool: CandidatePool, bud
     Find a placement by an online planner; see :func:`plan`.
 
     The episode is simulated: each turn adds the visible points to the observed cloud, and
-    constraints and headings are applied as in ``policy_node``. The cameras are then mounted at
-    their last poses, or near them if these are infeasible.
+    constraints and headings are applied as in ``policy_node``. Limits of a turn are those that the
+    settings change, else those of the rig file; cameras on tripods move as far as live ones. The
+    cameras are then mounted at their last poses, or near them if these are infeasible.
     """
-    online = make(problem.simulator.config.episode, problem.rig,
-                  np.random.default_rng([seed, 1]), model)
-    episode = Episode(problem, np.random.default_rng([seed, 0]))
+    rig, given, usual = problem.rig, problem.simulator.config.episode, EpisodeConfig()
+    limits = replace(given, **{
+        name: limit for name, limit in ((MOVING if rig.mount.footprint else {}) | rig.motion
+                                        ).items() if getattr(given, name) == getattr(usual, name)})
+    online = make(limits, rig, np.random.default_rng([seed, 1]), model)
+    episode = Episode(problem, np.random.default_rng([seed, 0]), config=limits)
     max_turns = min(episode.config.turns, budget.evaluations or episode.config.turns)
     episode.config = replace(episode.config, turns=max_turns)
 

@@ -27,6 +27,7 @@ from ocp_ros.rig.placement_file import load_placement, placement_of, save_placem
 from ocp_ros.rig.rig_file import load_rig, rig_of
 from ocp_ros.search.budget import Budget
 from ocp_ros.search.candidate_pool import CandidatePool
+from ocp_ros.search.plan import plan
 from ocp_ros.search.planner import Scorer
 from ocp_ros.search.pose_decoder import Decoder
 from ocp_ros.search.registry import OBSERVED, planner_names, PLANNERS, SCORES
@@ -272,3 +273,16 @@ def test_the_clock_cuts_no_episode_short(furnished, few_candidates):
     budget = Budget(seconds=60.0, clock=lambda: 3600.0 * next(hours))
     plan = RigPlanner(furnished, rig, FAST, budget, planner='lookahead').plan(rig)
     assert plan.answer.evaluations == EpisodeConfig().turns
+
+
+@pytest.mark.parametrize('more, turns', [
+    ({}, 12), ({'motion': {'turns': 4, 'max_step': 0.2}}, 4),
+    ({'mount': {'on': 'plane', 'height': 1.9, 'footprint': 0}}, 30)])
+def test_on_tripods_an_online_planner_has_the_limits_of_live_cameras_or_of_the_rig(more, turns):
+    rig = rig_of(2, 'd455', **{'mount': {'on': 'plane', 'height': 1.9}, **more})
+    problem = Problem.of(made_room(8, 2000), rig, SimulationConfig(engine=FAST))
+    result = plan(problem, Budget(evaluations=50), 'lookahead')
+    assert result.evaluations == turns
+    few = replace(problem.simulator.config, episode=EpisodeConfig(turns=TURNS))
+    given = Problem.of(made_room(8, 2000), rig, few)
+    assert plan(given, Budget(evaluations=50), 'lookahead').evaluations == TURNS

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 from ocp_ros.online.lookahead import TUNING
-from ocp_ros.rig.rig_file import load_rig
+from ocp_ros.rig.rig_file import load_rig, MOVING
 from ocp_ros.ros.interface.frames import frame_prefix, publish_tf
 from ocp_ros.ros.runtime.managed_node import autostart
 from ocp_ros.simulation.simulation_config import EpisodeLimits
@@ -28,8 +28,6 @@ from ocp_ros.util.resources import DEFAULT_MODEL
 from ocp_ros.util.settings import ConfigurationError, setting
 
 PLANNERS = ('learned', 'lookahead')
-#: Defaults with live cameras: each turn waits for cameras and clouds.
-LIVE_DEFAULTS = {'turns': 12, 'max_step': 1.5, 'max_turn': 1.6}
 #: Defaults if ``manual`` is true: few turns with long moves, as each turn is work for a person.
 MANUAL_DEFAULTS = {'turns': 5, 'max_step': 2.0, 'max_turn': 1.6, 'think_seconds': 0.0}
 
@@ -48,8 +46,8 @@ def live_defaults(given: dict[str, Any]) -> dict[str, Any]:
     # A rig file that cannot be used is reported when the node is configured.
     with suppress(ConfigurationError):
         if given.get('rig_file'):
-            return LIVE_DEFAULTS | load_rig(given['rig_file']).motion
-    return LIVE_DEFAULTS
+            return MOVING | load_rig(given['rig_file']).motion
+    return MOVING
 
 
 @dataclass(frozen=True)
