@@ -17,13 +17,7 @@
 import argparse
 from pathlib import Path
 
-from ocp_ros.cli.arguments import (
-    add_export,
-    add_reading,
-    room_and_placement,
-    room_asked,
-    whole,
-)
+from ocp_ros.cli.arguments import add_export, add_reading, room_and_placement, room_asked, whole
 from ocp_ros.cli.common import command_of, Commands, Found, LOOK
 from ocp_ros.studio import FIRST_PORT, LOCAL_ADDRESS
 from ocp_ros.util.resources import find_config
