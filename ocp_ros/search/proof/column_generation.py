@@ -18,10 +18,10 @@ Column generation: a lower bound for all poses of dense grids, and good choices 
 A linear program chooses among some hundred poses of the grids, its *columns*. Its loss is bounded
 from below by Benders cuts, which are linear (:mod:`ocp_ros.search.proof.loss_trees`). They are
 computed at points between its optima and a core point, an interior point of the relaxation, and at
-an optimum itself once its loss seems to be exact.
-The multipliers of the cuts give the gains of all poses of the grids. The gains prove a bound that
-holds for every choice of these poses (a Lagrangian bound), and the poses with the largest gains
-become columns, until no pose would improve the choice.
+an optimum itself once its loss seems to be exact (Ben-Ameur and Neto 2007). The multipliers of the
+cuts give the gains of all poses of the grids. The gains prove a bound that holds for every choice
+of these poses (a Lagrangian bound), and the poses with the largest gains become columns, until no
+pose would improve the choice, or the bound could rise by little of what is left open.
 """
 
 from collections.abc import Callable, Iterable, Sequence
