@@ -24,7 +24,7 @@ import numpy as np
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.rig.feasible_region import FeasibleRegion
 from ocp_ros.rig.placement_file import load_placement, placement_of, save_placement
-from ocp_ros.rig.rig_file import load_rig, rig_of
+from ocp_ros.rig.rig_file import load_rig, MOVING, rig_of
 from ocp_ros.search.budget import Budget
 from ocp_ros.search.candidate_pool import CandidatePool
 from ocp_ros.search.plan import plan
@@ -272,11 +272,11 @@ def test_the_clock_cuts_no_episode_short(furnished, few_candidates):
     hours, rig = itertools.count(), rig_of(2, 'omnidirectional')
     budget = Budget(seconds=60.0, clock=lambda: 3600.0 * next(hours))
     plan = RigPlanner(furnished, rig, FAST, budget, planner='lookahead').plan(rig)
-    assert plan.answer.evaluations == EpisodeConfig().turns
+    assert plan.answer.evaluations == MOVING['turns']
 
 
 @pytest.mark.parametrize('more, turns', [
-    ({}, 12), ({'motion': {'turns': 4, 'max_step': 0.2}}, 4),
+    ({}, MOVING['turns']), ({'motion': {'turns': 4, 'max_step': 0.2}}, 4),
     ({'mount': {'on': 'plane', 'height': 1.9, 'footprint': 0}}, 30)])
 def test_on_tripods_an_online_planner_has_the_limits_of_live_cameras_or_of_the_rig(more, turns):
     rig = rig_of(2, 'd455', **{'mount': {'on': 'plane', 'height': 1.9}, **more})
