@@ -110,8 +110,10 @@ def test_nodes_of_the_wheel_play_and_end(installed, elsewhere, domain, name, how
                    if not key.startswith(('FASTRTPS', 'ROS_AUTOMATIC'))}
     log = elsewhere / 'log'
     with open(log, 'wb') as file:
+        # Tests that nohup has started ignore SIGHUP, and would pass that on.
         node = subprocess.Popen(
             [installed / 'bin' / name], stdout=file, stderr=subprocess.STDOUT,
+            preexec_fn=partial(signal.signal, signal.SIGHUP, signal.SIG_DFL),
             env={**environment, 'ROS_DOMAIN_ID': str(domain), 'PYTHONUNBUFFERED': '1'})
     try:
         wait_until(lambda: READY in log.read_text() or node.poll() is not None)
