@@ -65,12 +65,12 @@ def read_count(text: str) -> int:
     return 0 if text == 'auto' else read_cameras(text)
 
 
-def number(expected: str, low: float = 1e-6, high: float = math.inf) -> Callable[[str], float]:
+def number(expected: str, low: float = 5e-324, high: float = math.inf) -> Callable[[str], float]:
     """
     Return a function that reads a number from a text.
 
     :param expected: description of a valid number, for the error.
-    :param low: smallest number.
+    :param low: smallest number; by default the smallest one above 0.
     :param high: largest number.
     """
     def read(text: str) -> float:
@@ -84,14 +84,14 @@ def number(expected: str, low: float = 1e-6, high: float = math.inf) -> Callable
     return read
 
 
-read_positive = number('a number above 0')
+read_positive = number('a number above 0', low=1e-6)
 read_seconds = number('seconds above 0')
 read_delay = number('seconds, 0 or more', low=0.0)
-read_distance = number('metres above 0', high=1000.0)
+read_distance = number('metres above 0', high=math.nextafter(1000.0, 0.0))
 read_share = number('a share above 0, at most 1', high=1.0)
 read_price = number('a price above 0')
 #: In settings 0 means the unit of the file.
-read_scale = number('metres per unit, above 0', low=1e-12)
+read_scale = number('metres per unit, above 0')
 
 
 def read_names(text: str) -> tuple[str, ...]:
