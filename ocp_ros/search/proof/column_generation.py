@@ -119,9 +119,10 @@ class ColumnGeneration:
     :param points: N, number of points of the scene.
     :ivar bound: lower bound of the loss of every choice of poses whose gains were computed: all
         poses of the grids, except at places that were added later.
-    :ivar closed: whether the bound is the best that the relaxation can give.
+    :ivar closed: whether the bound is the best that the relaxation can give, up to the tolerances.
     :ivar steps: number of optima and of passes over all poses since the bound began to rise.
-    :ivar known_loss: least loss of a placement that is known, also off the grids.
+    :ivar known_loss: least loss of a placement that is known, also off the grids; at first that of
+        the whole room without cameras.
     """
 
     def __init__(self, trees: LossTrees, grids: Sequence[PoseGrid], counts: Sequence[int],
@@ -132,7 +133,7 @@ class ColumnGeneration:
         self.spacing = spacing
         self._point_count = points
         self.steps = 0
-        self.known_loss = np.inf
+        self.known_loss = 1.0
         #: Columns of the greedy choice, which are always kept; None before the first program.
         self._greedy: list[Column] | None = None
         #: The loss of the shares, which is not below the optimum of the program.
@@ -292,7 +293,7 @@ class ColumnGeneration:
     def _allowed(self, tolerance: float, loss: float) -> float:
         """Return the error that matters neither beside a loss nor beside what it leaves open."""
         return max(tolerance * max(loss, TUNING.min_loss),
-                   self._open_tolerance * (min(self.known_loss, 1.0) - loss))
+                   self._open_tolerance * (self.known_loss - loss))
 
     def _solve_relaxation(self, tolerance: float, should_stop: Callable[[], bool]
                           ) -> tuple[float, np.ndarray, float]:
@@ -481,7 +482,7 @@ class ColumnGeneration:
             losses[tuple(sorted(chosen))] = loss
             if len(losses) > count or should_stop():
                 break
-        self.known_loss = min(self.known_loss, *losses.values(), np.inf)
+        self.known_loss = min([self.known_loss, *losses.values()])
         return sorted(Choice(loss, tuple(self._columns[k] for k in rows))
                       for rows, loss in losses.items())[:count]
 

@@ -99,13 +99,13 @@ class CutProgram:
         :param selected: (B,) bool, the parts whose cuts are added; by default all.
         """
         # Each cut is a row: the loss of the part + gains @ choice >= constant.
-        for part in np.arange(self._part_count)[selected]:
+        for part in (added := np.arange(self._part_count)[selected]):
             poses = np.flatnonzero(gains[part])
             columns = np.append(part, poses + self._part_count).astype(np.int32)
             self._solver.addRow(constants[part], self._highs.kHighsInf, len(columns), columns,
                                 np.append(1.0, gains[part, poses]))
-            self.cuts = np.vstack([self.cuts, (number, part)])
-            self._slack_for = np.append(self._slack_for, 0)
+        self.cuts = np.vstack([self.cuts, np.column_stack([np.full_like(added, number), added])])
+        self._slack_for = np.append(self._slack_for, np.zeros_like(added))
 
     def solve(self, should_stop: Callable[[], bool]) -> Optimum:
         """Solve the program; if ``should_stop`` returns True, return the solution so far."""
