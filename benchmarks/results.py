@@ -51,12 +51,17 @@ def write(name: str, figures: Mapping[str, Any], command: str, part: str = '') -
 
     :param figures: plain data; a key ``date`` replaces the date of today.
     :param command: that measures them again.
-    :param part: key of the figures in the file, whose other keys stay; the whole file if empty.
+    :param part: key of the figures in the file, whose other keys stay; if empty, only parts stay,
+        which other commands have measured.
     """
     path = FOLDER / f'{name}.json'
     content = stamped(figures, command)
+    known = json.loads(path.read_bytes()) if path.exists() else {}
     if part:
-        content = {**json.loads(path.read_bytes()), part: content}
+        content = {**known, part: content}
+    else:
+        content |= {key: value for key, value in known.items() if key not in content
+                    and isinstance(value, dict) and 'command' in value}
     write_atomically(path, json.dumps(content, indent=1, ensure_ascii=False) + '\n')
     print(f'wrote {path}')
 
