@@ -331,6 +331,11 @@ class Rig:
                 for name, limit in limits.items()}
 
     @property
+    def limits(self) -> dict[str, float]:
+        """Return what replaces the default limits of a turn, also where the rig states none."""
+        return (MOVING if self.mount.footprint else {}) | self.motion
+
+    @property
     def farthest(self) -> float:
         """Return the largest range of the cameras, metres, at most 100 m for planners."""
         return min(max(camera.model.max_range for camera in self.cameras), 100.0)

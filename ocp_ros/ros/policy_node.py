@@ -47,7 +47,7 @@ from ocp_ros.ros.interface.views import CloudView, observed_maps, RigView
 from ocp_ros.ros.policy.convergence import Convergence
 from ocp_ros.ros.policy.decider import Decider
 from ocp_ros.ros.policy.live_turns import LiveTurns
-from ocp_ros.ros.policy.policy_config import limits_text, live_defaults, PolicyNodeConfig
+from ocp_ros.ros.policy.policy_config import limits_of_turns, limits_text, PolicyNodeConfig
 from ocp_ros.ros.policy.simulated_turns import SimulatedTurns
 from ocp_ros.ros.policy.turn_source import Commander, TurnSource
 from ocp_ros.ros.runtime.managed_node import ManagedNode, publish_diagnostics, Status
@@ -85,7 +85,7 @@ class PolicyNode(ManagedNode):
         self._calibrator: Calibrator | None = None
         self.decider: Decider | None = None
         self._paused = False
-        super().__init__('policy_node', PolicyNodeConfig, live_defaults, **kwargs)
+        super().__init__('policy_node', PolicyNodeConfig, limits_of_turns, **kwargs)
 
     def configure(self) -> None:
         """Read the weights and the rig, and subscribe to the topics; send no command yet."""

@@ -58,7 +58,7 @@ from ocp_ros.scenes.scene import SceneError
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.point_maps import maps_of
 from ocp_ros.simulation.problem import make_problem
-from ocp_ros.simulation.simulation_config import SimulationConfig
+from ocp_ros.simulation.simulation_config import limits_by_rig, SimulationConfig
 from ocp_ros.util.settings import group, MAX_SEED, setting
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Float64, Float64MultiArray, Header
@@ -84,7 +84,9 @@ class SimNode(ManagedNode):
     """Publish a rig's observations, space coverage and depth error; move it as commanded."""
 
     def __init__(self, **kwargs) -> None:
-        super().__init__('sim_node', SimNodeConfig, **kwargs)
+        super().__init__('sim_node', SimNodeConfig, lambda given: {
+            f'episode.{name}': limit
+            for name, limit in limits_by_rig(given.get('rig_file', '')).items()}, **kwargs)
 
     def configure(self) -> None:
         """Read the room and place the cameras; send no turn yet."""

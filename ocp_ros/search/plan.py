@@ -33,7 +33,7 @@ import time
 import numpy as np
 from ocp_ros.geometry.engine_config import PROMISING
 from ocp_ros.online.step import play
-from ocp_ros.rig.rig_file import MOVING, rig_of
+from ocp_ros.rig.rig_file import rig_of
 from ocp_ros.rooms.generator import generate_room
 from ocp_ros.search.budget import Budget, Progress
 from ocp_ros.search.candidate_pool import CandidatePool, check_regions, MountedCamera, pool_of
@@ -164,8 +164,8 @@ def _place_by_episode(make: Callable, problem: Problem, pool: CandidatePool, bud
     """
     rig, given, usual = problem.rig, problem.simulator.config.episode, EpisodeConfig()
     limits = replace(given, **{
-        name: limit for name, limit in ((MOVING if rig.mount.footprint else {}) | rig.motion
-                                        ).items() if getattr(given, name) == getattr(usual, name)})
+        name: limit for name, limit in rig.limits.items()
+        if getattr(given, name) == getattr(usual, name)})
     online = make(limits, rig, np.random.default_rng([seed, 1]), model)
     episode = Episode(problem, np.random.default_rng([seed, 0]), config=limits)
     max_turns = min(episode.config.turns, budget.evaluations or episode.config.turns)

@@ -14,6 +14,7 @@
 
 """Settings of a simulated rig: cameras, engine, episode and reward."""
 
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -21,7 +22,7 @@ from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.rig.free_plane import CLEARANCE
 from ocp_ros.rig.rig_config import RigConfig
 from ocp_ros.rig.rig_file import load_rig, Rig
-from ocp_ros.util.settings import group, setting
+from ocp_ros.util.settings import ConfigurationError, group, setting
 
 
 @dataclass(frozen=True)
@@ -41,6 +42,18 @@ class EpisodeLimits:
     clearance: float = setting(
         CLEARANCE, 'least distance to every surface, metres; 0: no limit; with a rig file '
                    'keep_clear applies', 0.0, 5.0, running=True)
+
+
+def limits_by_rig(rig_file: str) -> dict[str, float]:
+    """
+    Return what replaces the default limits of a turn where nothing else is given.
+
+    :param rig_file: a rig file; empty: none. One that cannot be used is refused elsewhere.
+    """
+    with suppress(ConfigurationError):
+        if rig_file:
+            return load_rig(rig_file).limits
+    return {}
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ import threading
 from benchmarks.calibration_bench import cast
 from benchmarks.drills.live_rig import BODY, CAMERAS, episode_in, MAP, OPTICAL, Rig, S
 from builtin_interfaces.msg import Time
-from conftest import counted, farthest_distance, header_at, HUNG, status, warnings_of
+from conftest import counted, farthest_distance, header_at, HUNG, SMALL, status, warnings_of
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseArray
 import numpy as np
@@ -45,6 +45,7 @@ from ocp_ros.ros.interface.conversions import (
 from ocp_ros.ros.policy import live_turns
 from ocp_ros.ros.policy.instructions import FINAL, instructions, STAY
 from ocp_ros.ros.policy_node import PolicyNode
+from ocp_ros.ros.sim_node import SimNode
 from ocp_ros.scenes.meshes import MeshRays
 from ocp_ros.scenes.scene_files import save_scene
 from ocp_ros.util.settings import ConfigurationError
@@ -405,6 +406,18 @@ def test_live_cameras_move_far_unless_the_rig_or_the_user_says_otherwise(
     assert (config.turns, config.max_step, config.max_turn) == (
         turns, max_step, pytest.approx(max_turn))
     assert policy.get_parameter('turns').value == turns
+
+
+@pytest.mark.parametrize('rig, turns, max_step', [
+    ('mount: {on: plane, height: 1.9}', 12, 1.5), ('mount: {on: ceiling}', 30, 0.5),
+    ('mount: {on: ceiling}\nmotion: {turns: 7}', 7, 0.5)])
+def test_simulated_cameras_move_as_their_rig_does_on_both_sides(graph, tmp_path, rig, turns,
+                                                                max_step):
+    (tmp_path / 'rig.yaml').write_text(f'cameras: [{{sensor: realsense_d455}}]\n{rig}')
+    given = {'rig_file': str(tmp_path / 'rig.yaml')}
+    for limits in (graph.add(PolicyNode, planner='lookahead', **given).config,
+                   graph.add(SimNode, **SMALL, **given).config.episode):
+        assert (limits.turns, limits.max_step) == (turns, max_step)
 
 
 def reliabilities(node):

@@ -14,16 +14,15 @@
 
 """Parameters of ``policy_node``."""
 
-from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from ocp_ros.online.lookahead import TUNING
-from ocp_ros.rig.rig_file import load_rig, MOVING
+from ocp_ros.rig.rig_file import MOVING
 from ocp_ros.ros.interface.frames import frame_prefix, publish_tf
 from ocp_ros.ros.runtime.managed_node import autostart
-from ocp_ros.simulation.simulation_config import EpisodeLimits
+from ocp_ros.simulation.simulation_config import EpisodeLimits, limits_by_rig
 from ocp_ros.util.resources import DEFAULT_MODEL
 from ocp_ros.util.settings import ConfigurationError, setting
 
@@ -32,22 +31,17 @@ PLANNERS = ('learned', 'lookahead')
 MANUAL_DEFAULTS = {'turns': 5, 'max_step': 2.0, 'max_turn': 1.6, 'think_seconds': 0.0}
 
 
-def live_defaults(given: dict[str, Any]) -> dict[str, Any]:
+def limits_of_turns(given: dict[str, Any]) -> dict[str, Any]:
     """
-    Return the defaults of the limits of live cameras; {} for a simulation.
+    Return the defaults of the limits of a turn, of live cameras or in a simulation.
 
     :param given: the parameters that the user has given. Unless a person moves the cameras, the
         limits that a rig file states replace the others.
     """
-    if not given.get('cloud_topics'):
-        return {}
-    if given.get('manual') is True:
+    live = bool(given.get('cloud_topics'))
+    if live and given.get('manual') is True:
         return MANUAL_DEFAULTS
-    # A rig file that cannot be used is reported when the node is configured.
-    with suppress(ConfigurationError):
-        if given.get('rig_file'):
-            return MOVING | load_rig(given['rig_file']).motion
-    return MOVING
+    return (MOVING if live else {}) | limits_by_rig(given.get('rig_file', ''))
 
 
 @dataclass(frozen=True)
