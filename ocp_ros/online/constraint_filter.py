@@ -249,6 +249,22 @@ class ConstraintFilter:
             return self(cloud, positions, targets, max_step, fixed, state)
         return FilteredTargets(chosen, held)
 
+    def allowed(self, cloud: np.ndarray, positions: np.ndarray, places: np.ndarray) -> np.ndarray:
+        """
+        Return which places violate no constraint of a single camera; all if that is unknown.
+
+        A prepared region is used as it is.
+
+        :param cloud: (N, 3) float32, metres: the observed cloud.
+        :param positions: (K, 3) metres, of the K movable cameras.
+        :param places: (M, 3) metres.
+        :returns: (M,) bool.
+        """
+        if not self._is_prepared:
+            self._update_region(cloud, positions)
+        return (np.ones(len(places), dtype=bool) if self._region is None
+                else self._region.allowed(places))
+
     def _update_region(self, cloud: np.ndarray, positions: np.ndarray) -> None:
         """
         Compute the feasible region of the observed cloud if cloud or heights have changed.

@@ -32,6 +32,7 @@ finer model is done in parts: one in each turn, or with real cameras as many as 
 """
 
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import takewhile
 from typing import NamedTuple
@@ -40,10 +41,12 @@ import numpy as np
 from ocp_ros.geometry.visibility import FINE
 from ocp_ros.online.candidate_sites import Candidates, max_positions
 from ocp_ros.online.episode_places import EpisodePlaces
-from ocp_ros.online.online_planner import matched, PipelinedPlanner
+from ocp_ros.online.online_planner import matched, MIN_PIPELINED_TURNS, PipelinedPlanner
 from ocp_ros.online.partial_map import cell_weight, KeptModel, PartialMap, View
 from ocp_ros.online.rig_state import AIR_RADIUS_M, clearance_of, fixed_views, RigState, view_from
+from ocp_ros.online.scouting import scouted
 from ocp_ros.rig.free_plane import FreePlane
+from ocp_ros.scenes.scene import SceneError
 from ocp_ros.util.annealing import annealed, between
 from ocp_ros.util.threads import mapped
 
@@ -177,11 +180,31 @@ class Lookahead(PipelinedPlanner):
         """Return whether an episode is pipelined, with a fixed amount of work in each turn."""
         return self.plans_ahead(turns) and not self.at_once
 
+    def _coarse_model(self, cloud: np.ndarray, positions: np.ndarray) -> PartialMap:
+        """Return the model on which candidates are compared."""
+        return PartialMap(cloud, positions, self.max_range, *TUNING.candidate_model,
+                          air_radius=AIR_RADIUS_M if self.directional else 0.0)
+
+    def _scouted(self, cloud: np.ndarray, positions: np.ndarray, goals: np.ndarray, turn: int,
+                 turns: int) -> np.ndarray:
+        """
+        Return goals (K, 2) in which cameras scout; in long episodes and at their end the same.
+
+        See :mod:`~ocp_ros.online.scouting`.
+        """
+        left = TUNING.refining_share * turns - turn
+        if left <= 0.0 or turns >= MIN_PIPELINED_TURNS or not len(cloud):
+            return goals
+        with suppress(SceneError):
+            model = self._coarse_model(cloud, positions)
+            return scouted(model, self.space(cloud, positions), self.memory.unseen(model),
+                           self.rig_state, positions, goals, self.max_step, max(left, 1.0))
+        return goals
+
     def _create_candidates(self, cloud: np.ndarray, positions: np.ndarray, turn: int,
                            turns: int) -> None:
         """Create candidates, the current plan included, and choose the best plan."""
-        model = PartialMap(cloud, positions, self.max_range, *TUNING.candidate_model,
-                           air_radius=AIR_RADIUS_M if self.directional else 0.0)
+        model = self._coarse_model(cloud, positions)
         unseen = self.memory.unseen(model)
         self._space = self.space(cloud, positions)
         self._choose_plan(model, self._space, unseen, cell_weight(model, unseen, turn, turns),
@@ -252,7 +275,8 @@ class Lookahead(PipelinedPlanner):
 
     def _create_refining_model(self, cloud: np.ndarray, positions: np.ndarray, turn: int) -> None:
         """Create the model for the refinement."""
-        self._kept_model.make(cloud, positions, FINE, clearance_of(self.rig_state, self.clearance))
+        self._kept_model.make(cloud, positions, FINE, clearance_of(self.rig_state, self.clearance),
+                              self._limit(cloud, positions))
         self._model_turn = turn
 
     def _do_survey(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> bool:

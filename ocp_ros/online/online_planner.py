@@ -20,6 +20,7 @@ Their input is the observed cloud, as a :class:`~ocp_ros.online.partial_map.Part
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -36,6 +37,11 @@ from scipy.optimize import linear_sum_assignment
 #: In episodes of at least this number of turns, plans are computed while the cameras move, on
 #: the cloud before the move. In a shorter episode the older cloud would make plans too bad.
 MIN_PIPELINED_TURNS = 20
+
+
+#: A function of the observed cloud (M, 3), the positions (K, 3) of the cameras and places (P, 3),
+#: metres: it returns which of these the constraints of the rig allow, (P,) bool.
+Allowed = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 
 
 def matched(positions: np.ndarray, targets: np.ndarray, kinds: np.ndarray | None = None
@@ -93,10 +99,12 @@ class Online(ABC):
         much as there is time for. Otherwise the work for each turn is fixed, so that commands do
         not depend on the speed of the machine.
     :ivar rig_state: camera models and headings; None if all cameras are omnidirectional.
+    :ivar allowed: see :meth:`limit_to`.
     """
 
     interrupted: Callable[[], bool] = staticmethod(never_interrupted)
     at_once = False
+    allowed: Allowed | None = None
     targets: np.ndarray | None = None
     headings: np.ndarray | None = None
 
@@ -115,6 +123,10 @@ class Online(ABC):
     def directional(self) -> bool:
         """Return whether at least one movable camera is not omnidirectional."""
         return self.rig_state is not None and bool(self.rig_state.aimed)
+
+    def limit_to(self, allowed: Allowed | None) -> None:
+        """Limit the feasible region to what ``allowed`` returns; None for no limit."""
+        self.allowed = allowed
 
     def reset(self) -> None:  # noqa: B027
         """Discard the state of the last episode; most planners have none."""
@@ -145,7 +157,13 @@ class Online(ABC):
     def space(self, cloud: np.ndarray, positions: np.ndarray) -> FreePlane:
         """Return the feasible region of cameras at positions (K, 3) in a cloud (M, 3), M >= 1."""
         return FreePlane.around(cloud, positions, self.wall_margin,
-                                clearance_of(self.rig_state, self.clearance))
+                                clearance_of(self.rig_state, self.clearance),
+                                self._limit(cloud, positions))
+
+    def _limit(self, cloud: np.ndarray, positions: np.ndarray
+               ) -> Callable[[np.ndarray], np.ndarray] | None:
+        """Return which places (P, 3) the rig allows in a cloud, as a function; None for all."""
+        return None if self.allowed is None else partial(self.allowed, cloud, positions)
 
     def towards(self, positions: np.ndarray, targets: np.ndarray) -> np.ndarray:
         """
@@ -218,6 +236,11 @@ class PipelinedPlanner(Online):
         :raises SceneError: if the points are too few or too flat to be a room.
         """
 
+    def _scouted(self, cloud: np.ndarray, positions: np.ndarray, goals: np.ndarray, turn: int,
+                 turns: int) -> np.ndarray:
+        """Return goals (K, 2), metres, in which some cameras may explore instead."""
+        return goals
+
     def goals(self, positions: np.ndarray) -> np.ndarray:
         """Return the planned positions, on paths around obstacles; see :meth:`Online.goals`."""
         if self._space is None or self.targets is None:
@@ -242,7 +265,7 @@ class PipelinedPlanner(Online):
                 self._think(cloud, positions, turn, turns)
         except SceneError:
             return self.random_walk(cloud, positions)
-        goals = self.goals(positions)
+        goals = self._scouted(cloud, positions, self.goals(positions), turn, turns)
         if turn + 1 < turns and not self._waits_for_plan(turns, len(positions)):
             next_positions = np.column_stack([goals, positions[:, 2]])
             self._next_turn = PlannedTurn(cloud.copy(), next_positions, turn + 1, turns,

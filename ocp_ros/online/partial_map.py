@@ -18,7 +18,7 @@ Partial map: visibility and depth error on the observed cloud, and the space not
 It is the only model of the room that online planners and policies use.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property
 
 import numpy as np
@@ -231,7 +231,8 @@ class KeptModel:
         return self.made
 
     def make(self, cloud: np.ndarray, positions: np.ndarray, settings: SurfelSettings,
-             clearance: float = CLEARANCE) -> None:
+             clearance: float = CLEARANCE,
+             allowed: Callable[[np.ndarray], np.ndarray] | None = None) -> None:
         """
         Create the partial map and the feasible region, and store them in ``made``.
 
@@ -239,12 +240,13 @@ class KeptModel:
         :param positions: (K, 3) metres: current positions of the cameras.
         :param settings: rules of visibility.
         :param clearance: cameras stay this far from all observed points, metres.
+        :param allowed: see :meth:`~ocp_ros.rig.free_plane.FreePlane.around`.
         :raises SceneError: if the points are too few or too flat to be a room.
         """
         height = float(np.median(positions[:, 2]))
         self.made = (PartialMap(cloud, positions, self._max_range, self._max_points, self._rows,
                                 settings, self._air_radius),
-                     FreePlane.around(cloud, positions, self._wall_margin, clearance))
+                     FreePlane.around(cloud, positions, self._wall_margin, clearance, allowed))
         self._made_for = len(cloud), len(positions), height
 
     def lasts(self, cloud: np.ndarray, positions: np.ndarray) -> bool:

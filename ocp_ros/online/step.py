@@ -52,12 +52,11 @@ class OnlineStep:
 
     def __init__(self, planner: Online, limits: EpisodeLimits, rig: Rig | None = None,
                  report: Callable[[str], None] | None = None, at_once: bool = False) -> None:
-        self.planner, self.limits = planner, limits
-        self.planner.at_once = self._at_once = at_once
-        self._report = report
+        self._at_once, self._report = at_once, report
         # A free rig has no constraints and no headings to choose.
         self.rig = rig = None if rig is None or rig.free else rig
         self.constraints = StepConstraints(limits, rig)
+        self._use(planner, limits)
         self.aim = HeadingPlanner.of(rig, limits.wall_margin)
         #: The turn to prepare while the cameras move.
         self._next_turn: PlannedTurn | None = None
@@ -66,9 +65,14 @@ class OnlineStep:
         """Replace the planner and the limits during an episode."""
         if self.limits.wall_margin != limits.wall_margin:
             self.aim = HeadingPlanner.of(self.rig, limits.wall_margin)
-        self.planner, self.limits = planner, limits
-        self.planner.at_once = self._at_once
+        self._use(planner, limits)
         self.constraints.set_limits(limits)
+
+    def _use(self, planner: Online, limits: EpisodeLimits) -> None:
+        """Plan by a planner from now on, within the constraints of the rig."""
+        self.planner, self.limits = planner, limits
+        planner.at_once = self._at_once
+        planner.limit_to(self.constraints.filter and self.constraints.filter.allowed)
 
     def reset(self) -> None:
         """Discard the state of the last episode."""

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from ocp_ros.online.lookahead import Lookahead, TUNING
-from ocp_ros.online.online_planner import Online, PlannedTurn
+from ocp_ros.online.online_planner import Allowed, Online, PlannedTurn
 from ocp_ros.online.rig_state import RigState
 from ocp_ros.policy.cloud_encoder import Encoder
 from ocp_ros.rig.motion import bounded_moves
@@ -116,6 +116,11 @@ class Learned(Lookahead):
         super().set_rig_state(rig_state)
         self.explorer.set_rig_state(rig_state)
 
+    def limit_to(self, allowed: Allowed | None) -> None:
+        """Limit the explorer too; see :meth:`Online.limit_to`."""
+        super().limit_to(allowed)
+        self.explorer.limit_to(allowed)
+
     def reset(self) -> None:
         """Discard the state of the last episode."""
         super().reset()
@@ -134,6 +139,8 @@ class Learned(Lookahead):
             return super().move(cloud, positions, turn, turns)
         self._record(positions)
         moves = self.explorer.move(cloud, positions, turn, turns)
+        moves = self._scouted(cloud, positions, positions[:, :2] + moves, turn, turns
+                              ) - positions[:, :2]
         if self.plans_ahead(turns) and turn + 1 < turns and self._finishes(turn + 1, turns):
             ends = positions + np.column_stack([moves, np.zeros(len(moves))])
             self._next_turn = PlannedTurn(cloud.copy(), ends, turn + 1, turns, self.rig_state)

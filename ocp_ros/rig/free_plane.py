@@ -19,7 +19,7 @@ The kernels below use cells of a horizontal grid, an (X, Y) array. Contrary to a
 are numbered along x and its columns along y. Cameras may be in open cells only.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import islice
@@ -318,8 +318,8 @@ class FreePlane:
         return cls(low, high, height, cameras, floor)
 
     @classmethod
-    def around(cls, cloud: np.ndarray, positions: np.ndarray, margin: float, clearance: float
-               ) -> 'FreePlane':
+    def around(cls, cloud: np.ndarray, positions: np.ndarray, margin: float, clearance: float,
+               allowed: Callable[[np.ndarray], np.ndarray] | None = None) -> 'FreePlane':
         """
         Build the free plane of cameras from the points they have seen, at their median height.
 
@@ -327,10 +327,19 @@ class FreePlane:
         :param positions: (K, 3) metres: the positions of the cameras.
         :param margin: as in :meth:`of`.
         :param clearance: as in :meth:`of`; it holds at the height of each camera.
+        :param allowed: gets places (P, 3), metres, and returns which of these are allowed: (P,)
+            bool; None for all. If it allows none, it is ignored.
         """
         z = positions[:, 2]
-        return cls.of(cloud, float(np.median(z)), len(positions), margin, clearance,
-                      (float(z.min()), float(z.max())))
+        space = cls.of(cloud, float(np.median(z)), len(positions), margin, clearance,
+                       (float(z.min()), float(z.max())))
+        if allowed is None or (cells := space._cells) is None:
+            return space
+        numbers = np.argwhere(cells.open)
+        is_open = np.zeros_like(cells.open)
+        is_open[tuple(numbers.T)] = allowed(
+            space.placement(cells.low + cells.edge * (numbers + 0.5)))
+        return replace(space, floor=replace(cells, open=is_open)) if is_open.any() else space
 
     @property
     def size(self) -> np.ndarray:

@@ -142,7 +142,11 @@ def test_a_seed_gives_the_same_episode_and_a_reset_forgets_it(name, engine, outc
 
 @pytest.mark.parametrize('turns', [3, CONFIG.episode.turns, MIN_PIPELINED_TURNS])
 def test_a_policy_explores_and_a_better_plan_follows(engine, turns):
-    """In many turns the plan is made in parts meanwhile, and the policy goes on for two more."""
+    """
+    In many turns the plan is made in parts meanwhile, and the policy goes on for two more.
+
+    In few turns, cameras that would see nothing new explore instead.
+    """
     online, walks = MADE['learned'](*settings()), []
     online.explorer = Wanderer(*settings())
     walk = online.explorer.move
@@ -153,7 +157,8 @@ def test_a_policy_explores_and_a_better_plan_follows(engine, turns):
     assert [turn for *_, turn, _ in walks] == list(range(len(walks)))
     # The policy's own moves are carried out, and the end is better than all they lead to.
     trail = play(Wanderer(*settings()), episode_of(engine, 5, turns)).depth_error
-    np.testing.assert_array_equal(errors[:len(walks) + 1], trail[:len(walks) + 1])
+    if pipelined:
+        np.testing.assert_array_equal(errors[:len(walks) + 1], trail[:len(walks) + 1])
     assert errors[-1] < trail.min() * (1.0 if turns == 3 else 0.5)
 
 
