@@ -257,13 +257,14 @@ class ConstraintFilter:
 
         :param cloud: (N, 3) float32, metres: the observed cloud.
         :param positions: (K, 3) metres, of the K movable cameras.
-        :param places: (M, 3) metres.
+        :param places: (M, 3) metres, at one height; on a ceiling they are moved to its height.
         :returns: (M,) bool.
         """
         if not self._is_prepared:
             self._update_region(cloud, positions)
-        return (np.ones(len(places), dtype=bool) if self._region is None
-                else self._region.allowed(places))
+        if self._region is None or not len(places):
+            return np.ones(len(places), dtype=bool)
+        return self._region.allowed(self._at_height(places, places[0, 2]))
 
     def _update_region(self, cloud: np.ndarray, positions: np.ndarray) -> None:
         """
