@@ -262,9 +262,8 @@ class ConstraintFilter:
         """
         if not self._is_prepared:
             self._update_region(cloud, positions)
-        if self._region is None or not len(places):
-            return np.ones(len(places), dtype=bool)
-        return self._region.allowed(self._at_height(places, places[0, 2]))
+        return (self._region.allowed(self._at_height(places, places[0, 2]))
+                if len(places) and self._region is not None else np.ones(len(places), dtype=bool))
 
     def _update_region(self, cloud: np.ndarray, positions: np.ndarray) -> None:
         """
