@@ -376,7 +376,8 @@ def rig_file(tmp_path, text):
 
 def test_commands_are_held_to_a_rig_file(robot, tmp_path, monkeypatch):
     """Cameras that are sent to and fro by no planner at all keep out of where they must not be."""
-    policy = robot.start_policy(planner='lookahead', turns=1000, rig_file=rig_file(tmp_path, """
+    policy = robot.start_policy(planner='lookahead', turns=1000, max_step=0.5, rig_file=rig_file(
+        tmp_path, """
         cameras: [{sensor: omnidirectional, count: 2}]
         fixed: [{sensor: omnidirectional, position: [3.0, 2.0, 1.9]}]
         mount: {on: plane, height: 1.9}
@@ -401,7 +402,7 @@ def test_commands_are_held_to_a_rig_file(robot, tmp_path, monkeypatch):
 def test_cameras_are_turned_as_far_as_they_may_be_while_the_node_runs(robot, tmp_path, change):
     policy = robot.start_policy(planner='lookahead', turns=1000, rig_file=rig_file(
         tmp_path, 'cameras: [{sensor: realsense_d455, count: 3}]'))
-    assert 'max_turn' in change(policy, max_turn=4.0) and policy.config.max_turn == 0.5
+    assert 'max_turn' in change(policy, max_turn=4.0) and policy.config.max_turn == 1.6
     # All three look the same way, so there is much to turn for.
     for stamp, most in ((1, 0.5), (2, 0.2), (3, 0.0), (4, 3.0)):
         assert change(policy, max_turn=most) == ''
