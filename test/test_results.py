@@ -118,6 +118,8 @@ SENTENCES = [
      'measure/promise_over_delivered/{key}', 'turned_0 turned_17 turned_45'),
     (RESULTS, 'a share of {} of the {} plans has its error in', 'measure/plans/scans/{key}',
      'promise_coverage plans'),
+    (RESULTS, 'on ceilings have {} and {} times the error of a greedy choice',
+     'measure/crowds/rows/{key}', '0/plan_over_greedy_error 2/plan_over_greedy_error'),
     (RESULTS, 'evaluates {} placements of four cameras per second', 'engine/{key}',
      'evaluations_per_s'),
     (RESULTS, 'method plays {} interactions', 'engine/{key}', 'literal_interactions_per_s'),
