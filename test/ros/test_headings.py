@@ -243,7 +243,8 @@ def test_a_simulated_rig_ends_better_where_it_turns_and_stays_within_the_limits(
     sim = graph.add(SimNode, seed=3, scene__seed=8, rig__tilt=0.3, episode__turns=10,
                     resend_period=0.2, rig__sensors='realsense_d455', **SMALL)
     first = sim.episode.turn
-    graph.add(PolicyNode, turns=10, rig_file=rig_file(), max_turn=max_turn)
+    graph.add(PolicyNode, turns=10, rig_file=rig_file(), max_turn=max_turn,
+              max_step=0.5)
     placement = msg_to_poses(probe.last(topics.PLACEMENT))
 
     def farthest_from(headings):
