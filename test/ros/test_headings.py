@@ -240,11 +240,11 @@ def test_a_simulated_rig_ends_better_where_it_turns_and_stays_within_the_limits(
     for topic in (topics.CAMERA_COMMANDS, topics.CAMERA_POSES):
         probe.listen(PoseArray, topic, qos.LOOP)
     probe.listen(PoseArray, topics.PLACEMENT, qos.LATCHED)
-    sim = graph.add(SimNode, seed=3, scene__seed=8, rig__tilt=0.3, episode__turns=10,
-                    resend_period=0.2, rig__sensors='realsense_d455', **SMALL)
+    path = rig_file()
+    sim = graph.add(SimNode, seed=3, scene__seed=8, episode__turns=10, episode__max_step=0.5,
+                    resend_period=0.2, rig_file=path, **SMALL)
     first = sim.episode.turn
-    graph.add(PolicyNode, turns=10, rig_file=rig_file(), max_turn=max_turn,
-              max_step=0.5)
+    graph.add(PolicyNode, turns=10, rig_file=path, max_turn=max_turn, max_step=0.5)
     placement = msg_to_poses(probe.last(topics.PLACEMENT))
 
     def farthest_from(headings):
