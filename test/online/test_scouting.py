@@ -34,7 +34,7 @@ HALL, POSITIONS = box_room(width=12.0), np.array([[1.5, 1.5, 1.9], [1.5, 2.5, 1.
 
 
 def scout(goals, visited=POSITIONS, turns=8.0):
-    """Return where cameras go in the hall, and the cells (bits) that nobody has covered."""
+    """Return where cameras go in the hall, and the cells (bits) that no camera has covered."""
     model, memory = PartialMap(HALL.points, POSITIONS, RANGE, 6000, 32), LookHistory()
     memory.visit(np.asarray(visited))
     unseen = memory.unseen(model)
@@ -42,7 +42,7 @@ def scout(goals, visited=POSITIONS, turns=8.0):
     return scouted(model, space, unseen, None, POSITIONS, np.array(goals), STEP, turns), unseen
 
 
-def test_idle_cameras_go_to_what_nobody_has_seen_and_busy_ones_are_left_alone():
+def test_idle_cameras_go_to_what_is_unseen_and_busy_ones_are_left_alone():
     still = POSITIONS[:, :2]
     found, _ = scout(still)
     # Both go along the hall, to different places, by one step.
