@@ -56,7 +56,8 @@ def scouted(model: PartialMap, space: FreePlane, unseen: np.ndarray, rig_state: 
     least = LEAST_SHARE * np.count_nonzero(model.cells != NO_CELL)
 
     def covered(camera: int, place: np.ndarray) -> np.ndarray:
-        return model.look(np.append(place, positions[camera, 2]), lenses[camera]).covered & unseen
+        # One height for all cameras, so that they share views.
+        return model.look(space.placement(place[None])[0], lenses[camera]).covered & unseen
 
     new = [covered(camera, goal) for camera, goal in enumerate(goals)]
     is_idle = [count_bits(bits) < least for bits in new]
