@@ -130,8 +130,9 @@ SENTENCES = [
      '`lookahead` {} m', 'benchmark_four_d455/planners/{key}',
      'rig_search/300/sum rig_search/300/seconds tdsa/300/sum tdsa/300/seconds learned/0/sum '
      'lookahead/0/sum'),
-    (RESULTS, 'the final depth error is {}, {} and {} times that of a search that knows the room',
-     'nodes/rooms/{key}/ratio', '0 1 2'),
+    (RESULTS, 'the final depth error is {}, {} and {} times that of a search that knows the room '
+     '(at worst {}, {} and {})', 'nodes/rooms/{key}',
+     '0/ratio 1/ratio 2/ratio 0/ratio_worst 1/ratio_worst 2/ratio_worst'),
     (RESULTS,
      '{} ms (median) with four cameras and {} points, and {} ms with eight cameras and {} points',
      'studio/sizes/{key}',
