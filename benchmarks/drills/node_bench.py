@@ -76,8 +76,10 @@ from std_msgs.msg import Header
 PAIRS, STARTS, PATIENCE = (1, 2, 4), 100, 600.0
 AROUND = 'cameras: [{{sensor: omnidirectional, max_range: 4.0, count: {}}}]\n' \
     'mount: {{on: plane, height: 1.9}}\n'
-#: Points of a scan, evaluations of a search that knows it, seconds between two poses.
-POINTS, EVALUATIONS, POSE_S = 60_000, 1000, 0.02
+#: Points of a scan and of that of the judge.
+POINTS, JUDGE_POINTS = 60_000, 90_000
+#: Evaluations of a search that knows the scan, seconds between two poses.
+EVALUATIONS, POSE_S = 1000, 0.02
 #: How often a room is played whose placement is judged.
 RUNS = 3
 #: Standard deviations of measured poses: metres and radians.
@@ -205,20 +207,19 @@ def processor_of(pid: int) -> float:
     return 1e-9 * nanoseconds
 
 
-def play(case: Case, seed: int, folder: Path, judged: bool = False) -> dict[str, Any]:
+def play(case: Case, seed: int, folder: Path) -> dict[str, Any]:
     """
     Play a room with a node process.
 
-    :param judged: whether to compare the final placement with a search that knows the room.
-    :returns: ``latencies`` of the turns, figures of the clouds, and of the placement.
+    :returns: ``latencies`` of the turns, figures of the clouds, the ``room``, the ``final``
+        placement and the ``targets`` (T, 3) of all turns, metres.
     """
     path = Path(case.rig)
     if not case.rig.endswith('.yaml'):
         path = folder / 'rig.yaml'
         path.write_text(case.rig)
     settings = SimulationConfig(engine=PROMISING, rig_file=str(path))
-    room = judged_room(str(seed), 0.0, settings, POINTS, 90_000 if judged else POINTS, 0.0,
-                       BY_FILE, 0)
+    room = judged_room(str(seed), 0.0, settings, POINTS, JUDGE_POINTS, 0.0, BY_FILE, 0)
     start = Episode(room.search_problem, np.random.default_rng(seed),
                     config=EpisodeConfig()).placement
     domain, holder = free_domain()
@@ -247,20 +248,11 @@ def play(case: Case, seed: int, folder: Path, judged: bool = False) -> dict[str,
             watch.executor.remove_node(rig)
             rig.destroy_node()
     shares = [share_of(text) for text in turns.split(', ')]
-    figures: dict[str, Any] = {
+    return {
         'latencies': rig.latencies[:-1], 'turns_with_all_cameras': min(shares),
         'clouds_per_s_of_a_camera': clouds / took / len(start), 'cores': processor / took,
-        'memory_mb': memory}
-    if judged:
-        final = rig.placement
-        known = plan(room.search_problem, Budget(evaluations=EVALUATIONS)).poses
-        errors = [room.judge(np.asarray(poses))['depth_error'] for poses in (final, known)]
-        figures |= {'error_m': errors[0], 'known_error_m': errors[1],
-                    'ratio': errors[0] / errors[1],
-                    'targets': sum(map(len, rig.commanded)),
-                    'targets_over_furniture': over_furniture(
-                        np.concatenate(rig.commanded), room.judge_scene.points)}
-    return figures
+        'memory_mb': memory, 'room': room, 'final': rig.placement,
+        'targets': np.concatenate(rig.commanded)}
 
 
 def share_of(text: str) -> float:
@@ -289,14 +281,23 @@ def rounded(played: list[dict[str, Any]], names: Iterable[str]) -> list[dict[str
     return [{name: round(float(room[name]), 3) for name in names} for room in played]
 
 
-def over_runs(runs: list[dict[str, Any]]) -> dict[str, float]:
-    """Return the figures of a room from some runs: which turn sees what differs between them."""
-    ratios = [run['ratio'] for run in runs]
+def judged(runs: list[dict[str, Any]]) -> dict[str, float]:
+    """
+    Compare the final placements of some runs of a room with that of a search that knows it.
+
+    :param runs: of :func:`play`; what the cameras see in a turn differs between them.
+    :returns: the geometric mean of the ratios of the errors, the worst, and figures of all runs.
+    """
+    room = runs[0]['room']
+    known = plan(room.search_problem, Budget(evaluations=EVALUATIONS)).poses
+    known_error, *errors = [room.judge(np.asarray(poses))['depth_error']
+                            for poses in (known, *(run['final'] for run in runs))]
+    ratios = np.array(errors) / known_error
     print('ratios', np.round(ratios, 3).tolist(), flush=True)
-    return {'known_error_m': runs[0]['known_error_m'],
-            'ratio': np.exp(np.mean(np.log(ratios))), 'ratio_worst': max(ratios),
-            **{name: sum(run[name] for run in runs)
-               for name in ('targets', 'targets_over_furniture')},
+    targets = np.concatenate([run['targets'] for run in runs])
+    return {'known_error_m': known_error, 'ratio': np.exp(np.log(ratios).mean()),
+            'ratio_worst': ratios.max(), 'targets': len(targets),
+            'targets_over_furniture': over_furniture(targets, room.judge_scene.points),
             'turns_with_all_cameras': min(run['turns_with_all_cameras'] for run in runs)}
 
 
@@ -403,7 +404,7 @@ def main(args: list[str] | None = None) -> int:
         if 'rooms' in options.parts:
             case = Case(AROUND.format(4), VALIDATION[:options.judged], 1.0, (640, 480), 5.0)
             found['rooms'] = rounded([
-                over_runs([play(case, seed, folder, judged=True) for _ in range(RUNS)])
+                judged([play(case, seed, folder) for _ in range(RUNS)])
                 for seed in case.rooms], (
                     'known_error_m', 'ratio', 'ratio_worst', 'targets', 'targets_over_furniture',
                     'turns_with_all_cameras'))
