@@ -372,6 +372,17 @@ def test_clouds_from_the_future_are_named_and_not_used(clock):
     assert delivered(turns, 100 + clock.now, 'later', 'a') == [('a', 'later')]
 
 
+def test_poses_that_came_late_once_and_then_no_more_stop_no_topic(clock):
+    turns = make(clock)
+    # Some rigs publish poses only while they move; these waited in a queue for three seconds.
+    stands(turns, 97.0, HERE)
+    assert not delivered(turns, 100.0, 'soon', 'a')
+    for _ in range(20):
+        clock.now += 0.2
+        delivered(turns, 100 + clock.now, 'good', 'a')
+    assert turns.is_due() and not turns.clock_leads()
+
+
 @for_any(30, seed=strategies.integers(0, 2 ** 32 - 1))
 def test_whatever_happened_a_rig_that_works_gets_its_turn(seed):
     rng, clock = np.random.default_rng(seed), SimpleNamespace(now=0.0)

@@ -43,7 +43,8 @@ MAX_LEAD_NS = 1_000_000_000
 STEADY_NS = 200_000_000
 #: Poses that have stayed within the limits of arrival for this long are noisy, nanoseconds.
 NOISY_NS = 1_000_000_000
-#: Seconds without new poses after which the cameras count as standing too.
+#: Seconds without new poses after which the cameras count as standing too, and clocks cannot be
+#: compared any more.
 QUIET_S = 0.5
 #: Seconds for which the status reports that stamps went back.
 JUMP_REPORT_S = 10.0
@@ -286,11 +287,15 @@ class Turns(Generic[T]):
         """Store a cloud with its stamp (ns); it replaces the unread cloud of its topic."""
         if self._accept_stamp(topic, stamp):
             self._unread_clouds[topic] = stamp, cloud
-            pose_age = self._clock() - self._pose_time
-            # Poses measured now would have the stamp of the newest poses plus their age. This
-            # estimate is used up to an age of half a second.
-            if POSES in self._newest_stamps and pose_age <= 0.5:
-                self._cloud_leads[topic].append(stamp - self._pose_stamp - int(pose_age * 1e9))
+            # Poses measured now would have the stamp of the newest poses plus their age.
+            if POSES in self._newest_stamps and self._poses_are_new:
+                self._cloud_leads[topic].append(
+                    stamp - self._pose_stamp - int((self._clock() - self._pose_time) * 1e9))
+
+    @property
+    def _poses_are_new(self) -> bool:
+        """Return whether the clocks of poses and clouds can be compared now."""
+        return self._clock() - self._pose_time <= QUIET_S
 
     def _accept_stamp(self, source: str, stamp: int) -> bool:
         """Store a stamp, also after a clock was set back; return False for one that is late."""
@@ -334,12 +339,17 @@ class Turns(Generic[T]):
                 if topic in self._unread_clouds and (
                         topic not in (*self.used_stamps, *excluded_topics)) and (
                         self._unread_clouds[topic][0] >= self.standing_begin.stamp) and (
-                        # Stamps too far ahead of those of the poses are of another clock.
-                        self._cloud_leads[topic][-1] <= MAX_LEAD_NS):
+                        not self._may_lead(topic)):
                     self.used_stamps[topic], cloud = self._unread_clouds.pop(topic)
                     self._silent_topics.discard(topic)
                     return topic, cloud
         return None
+
+    def _may_lead(self, topic: str) -> bool:
+        """Return whether the clouds of a topic seem to have a clock ahead of that of the poses."""
+        # Without newer poses, a lead that was found once was perhaps the delay of the last ones.
+        return self._cloud_leads[topic][-1] > MAX_LEAD_NS and (
+            self._poses_are_new or topic in self.clock_leads())
 
     def put_back(self, topic: str, stamp: int, cloud: T) -> bool:
         """
