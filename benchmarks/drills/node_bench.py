@@ -36,7 +36,7 @@ from benchmarks import results
 from benchmarks.drills.drill import rss_of
 from geometry_msgs.msg import PoseArray
 import numpy as np
-from ocp_ros.compare.judging import judged_room
+from ocp_ros.compare.judging import JudgedRoom
 from ocp_ros.demo.train_demo import start_nodes
 from ocp_ros.demo.watched_nodes import (
     end_on_signals,
@@ -219,7 +219,8 @@ def play(case: Case, seed: int, folder: Path) -> dict[str, Any]:
         path = folder / 'rig.yaml'
         path.write_text(case.rig)
     settings = SimulationConfig(engine=PROMISING, rig_file=str(path))
-    room = judged_room(str(seed), 0.0, settings, POINTS, JUDGE_POINTS, 0.0, BY_FILE, 0)
+    # No cached room: the rig files of all cases have one name.
+    room = JudgedRoom(str(seed), 0.0, settings, POINTS, JUDGE_POINTS, 0.0, BY_FILE, 0)
     start = Episode(room.search_problem, np.random.default_rng(seed),
                     config=EpisodeConfig()).placement
     domain, holder = free_domain()

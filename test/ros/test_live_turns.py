@@ -245,6 +245,18 @@ def test_cameras_that_send_nonsense_do_not_stop_the_others(live):
     live.graph.until(lambda: status(policy)[0] == DiagnosticStatus.OK)
 
 
+def test_turns_that_cannot_be_answered_are_named_once(live, tmp_path):
+    path = tmp_path / 'rig.yaml'
+    path.write_text(f'cameras: [{{sensor: omnidirectional, count: {CAMERAS + 1}}}]')
+    rig, policy = live.start(cloud_timeout=1.0, rig_file=str(path))
+    warnings = warnings_of(policy)
+    live.wait(2.0)
+    live.graph.until(lambda: counted(policy, 'refused_messages') >= 20)
+    # Each turn waits for all of its clouds: no topic is said to be silent meanwhile.
+    assert len([line for line in warnings if 'found 3 cameras; expected 4' in line]) == 1
+    assert not [line for line in warnings if 'no clouds' in line]
+
+
 def test_a_wrong_clock_is_named_once_with_the_seconds_by_which_it_leads(live):
     def delay(cloud):
         cloud.header.stamp = ns_to_stamp(stamp_to_ns(cloud.header.stamp) - 30 * S)

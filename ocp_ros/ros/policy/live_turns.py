@@ -312,7 +312,7 @@ class LiveTurns(TurnSource):
         except MessageError as error:
             # For example, the fused cloud has no points, or points of more than one room.
             self._fused_cloud.clear()
-            self._turns.drop_clouds()
+            self._turns.repeat_turn()
             self._node.refuse(error)
             return
         # If the answer has made the placement final, this turn decided nothing, but its cloud is

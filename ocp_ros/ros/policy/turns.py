@@ -195,6 +195,12 @@ class Turns(Generic[T]):
         self.used_stamps.clear()
         self._transform_waits.clear()
 
+    def repeat_turn(self) -> None:
+        """Drop the clouds of this turn, and wait for new ones for as long as at its begin."""
+        self.drop_clouds()
+        if self.standing_begin is not None:
+            self.standing_begin = self.standing_begin._replace(time=self._clock())
+
     def on_poses(self, stamp: int, positions: np.ndarray,
                  rotations: Sequence[np.ndarray] = ()) -> bool:
         """
