@@ -68,7 +68,8 @@ class LookaheadTuning:
     :ivar refining_share: share of the episode after which plans are refined; earlier the observed
         cloud is too small.
     :ivar refining_model: the same sizes, of the finer model for the refinement.
-    :ivar refining_turns: smallest number of turns for which that model is reused.
+    :ivar refining_turns: smallest number of turns for which that model is reused; an episode at
+        once creates it again as soon as the cloud has grown.
     :ivar survey_turns: turns before the refinement at which a pipelined episode creates that
         model and anneals the plan on it among all candidates (the survey).
     :ivar lead_turns: the same, in an episode at once.
@@ -249,8 +250,8 @@ class Lookahead(PipelinedPlanner):
 
     def _refine(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> None:
         """Anneal the plan in small steps, among the positions that the cameras can still reach."""
-        if (turn - self._model_turn >= TUNING.refining_turns
-                and not self._kept_model.lasts(cloud, positions)):
+        may_create = self.at_once or turn - self._model_turn >= TUNING.refining_turns
+        if may_create and not self._kept_model.lasts(cloud, positions):
             self._create_refining_model(cloud, positions, turn)
         proposals = TUNING.pipelined_proposals if self._is_paced(turns) else TUNING.proposals
         if self.at_once:
