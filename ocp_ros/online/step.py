@@ -53,13 +53,18 @@ class OnlineStep:
     def __init__(self, planner: Online, limits: EpisodeLimits, rig: Rig | None = None,
                  report: Callable[[str], None] | None = None, at_once: bool = False) -> None:
         self._at_once, self._report = at_once, report
-        # A free rig has no constraints and no headings to choose.
-        self.rig = rig = None if rig is None or rig.free else rig
-        self.constraints = StepConstraints(limits, rig)
-        self._use(planner, limits)
-        self.aim = HeadingPlanner.of(rig, limits.wall_margin)
+        self.planner, self.limits = planner, limits
+        self.constrain(rig)
         #: The turn to prepare while the cameras move.
         self._next_turn: PlannedTurn | None = None
+
+    def constrain(self, rig: Rig | None) -> None:
+        """Apply the constraints of a rig from now on; None for none."""
+        # A free rig has no constraints and no headings to choose.
+        self.rig = rig = None if rig is None or rig.free else rig
+        self.constraints = StepConstraints(self.limits, rig)
+        self.aim = HeadingPlanner.of(rig, self.limits.wall_margin)
+        self._use(self.planner, self.limits)
 
     def change(self, planner: Online, limits: EpisodeLimits) -> None:
         """Replace the planner and the limits during an episode."""

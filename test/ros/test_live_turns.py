@@ -245,6 +245,17 @@ def test_cameras_that_send_nonsense_do_not_stop_the_others(live):
     live.graph.until(lambda: status(policy)[0] == DiagnosticStatus.OK)
 
 
+def test_without_a_rig_file_no_camera_is_sent_over_furniture(live, room):
+    rig, policy = live.start(turns=6)
+    live.last(topics.PLACEMENT)
+    # Not the first two: the few points seen by then hardly show furniture. Commands come again.
+    commands = {stamp_to_ns(message.header.stamp): msg_to_positions(message)[:, :2]
+                for message in live.received[topics.CAMERA_COMMANDS]}
+    targets = np.concatenate([commands[stamp] for stamp in sorted(commands)[2:]])
+    furniture = room.points[(room.points[:, 2] > 0.2) & (room.points[:, 2] < 1.8), :2]
+    assert np.linalg.norm(targets[:, None] - furniture[None], axis=2).min() > 0.35
+
+
 def test_turns_that_cannot_be_answered_are_named_once(live, tmp_path):
     path = tmp_path / 'rig.yaml'
     path.write_text(f'cameras: [{{sensor: omnidirectional, count: {CAMERAS + 1}}}]')

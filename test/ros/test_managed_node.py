@@ -229,6 +229,30 @@ def test_what_cannot_be_asked_of_a_policy_ends_no_node(graph, manager, capfd):
 
 
 @pytest.mark.parametrize('autostart', [True, False])
+def test_defaults_suit_what_is_given_when_a_node_is_configured(
+        graph, manager, tmp_path, autostart):
+    path = tmp_path / 'rig.yaml'
+    path.write_text('cameras: [{sensor: omnidirectional, count: 3}]\nmotion: {max_step: 0.7}')
+
+    def configured_again(**values):
+        if policy.configured:
+            manager.change('policy_node', DEACTIVATE)
+            assert manager.change('policy_node', CLEANUP)
+        assert all(result.successful for result in policy.set_parameters(
+            [Parameter(name, value=value) for name, value in values.items()]))
+        assert manager.change('policy_node', CONFIGURE)
+        return [policy.config.turns, policy.config.max_step, policy.config.max_turn]
+
+    policy = graph.add(PolicyNode, planner='lookahead', autostart=autostart)
+    assert configured_again() == [30, 0.5, 0.5]
+    assert configured_again(cloud_topics='points') == [12, 1.5, 1.6]
+    assert configured_again(rig_file=str(path)) == [12, 0.7, 1.6]
+    # What a person has set stays.
+    assert configured_again(rig_file='', turns=4) == [4, 1.5, 1.6]
+    assert configured_again(cloud_topics='') == [4, 0.5, 0.5]
+
+
+@pytest.mark.parametrize('autostart', [True, False])
 def test_a_node_that_cannot_be_configured_says_why_and_tries_again(
         graph, manager, capfd, autostart):
     policy = graph.add(PolicyNode, planner='lookahead', autostart=autostart)

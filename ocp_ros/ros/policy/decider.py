@@ -19,6 +19,7 @@ PyTorch is imported only where a policy is made: its import takes longer than al
 """
 
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
 import math
 import time
 from typing import TYPE_CHECKING
@@ -35,7 +36,8 @@ from ocp_ros.online.rig_state import RigState
 from ocp_ros.online.step import OnlineStep
 from ocp_ros.policy.learned import Learned, PolicyAlone
 from ocp_ros.rig.placement_file import as_written, Placed, Placement, placement_of
-from ocp_ros.rig.rig_file import Camera, load_rig, Rig
+from ocp_ros.rig.rig_file import Camera, load_rig, Rig, rig_of
+from ocp_ros.rig.structure import floors_of
 from ocp_ros.ros.interface.conversions import (
     MessageError,
     move_poses,
@@ -43,7 +45,8 @@ from ocp_ros.ros.interface.conversions import (
     rotation_of,
 )
 from ocp_ros.ros.policy.policy_config import PolicyNodeConfig
-from ocp_ros.scenes.scene import MAX_EXTENT_M, SceneError
+from ocp_ros.scenes.scene import MAX_EXTENT_M, Scene, SceneError
+from ocp_ros.util.settings import ConfigurationError
 from rclpy.impl.rcutils_logger import RcutilsLogger
 
 if TYPE_CHECKING:
@@ -113,6 +116,8 @@ class Decider:
         # An error in a step is logged and must not end this node.
         self.step = OnlineStep(planner, config, self.rig, log.error, at_once)
         self.stay_warnings: list[str] = []
+        #: Whether it is known what cameras without a rig file stand on.
+        self._mount_is_known = self.rig is not None or not config.live_topics
         self._thread = ThreadPoolExecutor(1, 'planner')
         #: The plan that is being made while the cameras move; None if there is none.
         self._plan: Future[None] | None = None
@@ -269,6 +274,8 @@ class Decider:
         state = self.state(poses)
         at_once = self.step.planner.at_once
         self._end_planning(self._config.think_seconds if at_once else PATIENCE_S)
+        if not self._mount_is_known:
+            self._find_mount(cloud, state)
         # The parameter ``turns`` may have been lowered below the number of turns played.
         turns = self._config.turns
         command = self.step(cloud, state, min(turn, turns), turns,
@@ -279,6 +286,22 @@ class Decider:
         headings = {camera: command.placement[camera, 3:] for camera in command.rotated}
         # The placement has the fixed cameras too, which ``poses`` may lack.
         return move_poses(poses, command.placement[:len(poses.poses), :3], headings)
+
+    def _find_mount(self, cloud: np.ndarray, state: RigState) -> None:
+        """Take real cameras without a rig file to be on tripods, as a rig file does by height."""
+        positions = state.placement[:, :3]
+        # As long as the cloud is no room with a floor below the cameras, the next turn tries again.
+        with suppress(ConfigurationError, SceneError):
+            floor = floors_of(Scene(cloud, 'observed cloud')).under(positions)
+            height = float(np.median(positions[:, 2] - floor))
+            rig = rig_of(len(positions), mount={'on': 'plane', 'height': height})
+            self._mount_is_known = True
+            if footprint := rig.mount.footprint:
+                self.step.constrain(rig)
+                self._log.info(
+                    f'cameras: found them {height:.2f} m above the floor and no rig file: they '
+                    f'are taken to be on tripods, with {footprint} m of free floor around each; '
+                    'for others name a rig_file, whose mount may have footprint: 0')
 
     def describe_gain(self, cloud: np.ndarray, poses: PoseArray, command: PoseArray) -> str:
         """Return a sentence on the expected gain of a command; empty if too little is observed."""

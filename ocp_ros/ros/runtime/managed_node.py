@@ -28,7 +28,14 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from ocp_ros.policy.agent_config import CheckpointError
-from ocp_ros.ros.runtime.parameters import declare, read_config, watch_parameters
+from ocp_ros.ros.runtime.parameters import (
+    declare,
+    first_defaults,
+    OtherDefaults,
+    read_config,
+    renew_defaults,
+    watch_parameters,
+)
 from ocp_ros.scenes.scene import SceneError
 from ocp_ros.util.settings import check_known, ConfigurationError, setting
 from rclpy.clock import Clock
@@ -122,7 +129,7 @@ class ManagedNode(LifecycleNode):
 
     :param name: name of the node.
     :param config_type: dataclass of its parameters, with a field ``autostart``.
-    :param other_defaults: see :func:`~ocp_ros.ros.runtime.parameters.declare`.
+    :param other_defaults: see :data:`~ocp_ros.ros.runtime.parameters.OtherDefaults`.
     :ivar config: parameters in effect.
     :ivar configured: whether the node is configured.
     :ivar active: whether the node is active and may send messages.
@@ -131,8 +138,7 @@ class ManagedNode(LifecycleNode):
     """
 
     def __init__(self, name: str, config_type: type,
-                 other_defaults: Callable[[dict[str, Any]], dict[str, Any]] = lambda given: {},
-                 **kwargs) -> None:
+                 other_defaults: OtherDefaults = lambda given: {}, **kwargs) -> None:
         super().__init__(name, **kwargs)
         self.configured = self.active = False
         self.warnings: dict[str, str] = {}
@@ -141,6 +147,9 @@ class ManagedNode(LifecycleNode):
         #: ROS entities that existed before the configuration, by kind: the clean-up keeps them.
         self._kept_entities: dict[str, set] = {}
         self._step_error: Exception | None = None
+        self._other_defaults = other_defaults
+        #: The present default of each parameter.
+        self._defaults = first_defaults(self, config_type, other_defaults)
         self.config = declare(self, config_type, other_defaults)
         watch_parameters(self, self._store_config)
         #: Whether the constructor starts the node: it raises the error of a failed step itself.
@@ -214,6 +223,8 @@ class ManagedNode(LifecycleNode):
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Configure the node, or log why that fails."""
+        self._defaults = renew_defaults(
+            self, type(self.config), self._other_defaults, self._defaults)
         self.config = read_config(self, type(self.config))
         self._kept_entities = self._entities()
         self.configured = self._try_step(self.configure, self._release_node)
