@@ -28,6 +28,7 @@ from launch_ros.parameter_descriptions import ParameterValue
 #: of the parameter file.
 ARGUMENTS = (
     ('clouds', 'cloud_topics', str, 'topics of the clouds, with commas between'),
+    ('camera_frames', 'camera_frames', str, 'frames of the cameras whose poses are in tf'),
     ('rig_file', 'rig_file', str, 'YAML of docs/reference/rig.md'),
     ('manual', 'manual', bool, 'true: a person moves the cameras'),
     ('turns', 'turns', int, 'turns until the placement is final'),

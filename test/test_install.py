@@ -314,6 +314,6 @@ def test_the_arguments_for_live_cameras_are_parameters():
     text = (ROOT / 'launch' / 'live.launch.py').read_text()
     found = dict(re.findall(r"^    \('\w+', '(\w+)', (\w+), ", text, re.M))
     # Which clock is read is a parameter of every node.
-    assert found.pop('use_sim_time') == 'bool' and len(found) == 6
+    assert found.pop('use_sim_time') == 'bool' and len(found) == 7
     for name, kind in found.items():
         assert leaves(PolicyNodeConfig)[name].type.__name__ == kind

@@ -343,7 +343,8 @@ class PolicyNode(ManagedNode):
     def refuse(self, error: ValueError, source: str = 'turn') -> None:
         """Count a message that cannot be used, and warn why, until its source sends others."""
         self._counts['refused_messages'] += 1
-        self.warn(source, f'message refused: {shortened(error)}')
+        topic = '' if source in ('turn', topics.CAMERA_POSES) else f'{source}: '
+        self.warn(source, f'message refused: {topic}{shortened(error)}')
 
     def _status(self) -> Status:
         """Return the status of the planner for diagnostics."""

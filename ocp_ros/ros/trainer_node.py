@@ -32,7 +32,12 @@ import numpy as np
 from ocp_ros.policy.agent_config import AgentConfig
 from ocp_ros.policy.checkpoint import Checkpoint
 from ocp_ros.ros.interface import topics
-from ocp_ros.ros.runtime.managed_node import create_steady_timer, publish_diagnostics, Status
+from ocp_ros.ros.runtime.managed_node import (
+    create_steady_timer,
+    OverridableNode,
+    publish_diagnostics,
+    Status,
+)
 from ocp_ros.ros.runtime.node_main import run
 from ocp_ros.ros.runtime.parameters import declare
 from ocp_ros.ros.training_source import TransitionSource
@@ -41,7 +46,6 @@ from ocp_ros.training.training_config import SacConfig
 from ocp_ros.util.files import folder_to_write, write_atomically
 from ocp_ros.util.resources import find_model
 from ocp_ros.util.settings import group, setting, to_nested
-from rclpy.node import Node
 import torch
 import yaml
 
@@ -66,7 +70,7 @@ class TrainerNodeConfig(LearnerConfig):
     sac: SacConfig = group(SacConfig)
 
 
-class TrainerNode(Node):
+class TrainerNode(OverridableNode):
     """Collect transitions from many namespaces, train a policy, and publish its weights."""
 
     def __init__(self, **kwargs) -> None:
@@ -91,11 +95,21 @@ class TrainerNode(Node):
         names = [name.strip().strip('/') for name in self.config.sources.split(',')]
         for name in [name for name in names if name] or [self.get_namespace().strip('/')]:
             self._add_source(f'/{name}')
+        if unknown := self.find_unknown_override():
+            self.get_logger().warning(unknown)
         create_steady_timer(self, 0.1, self._tick)
         publish_diagnostics(self, self._status)
         self.get_logger().info(
             f'run {self.learner.run}: {self.learner.updates} updates so far from '
             f'{self.learner.transitions} transitions, checkpoints in {self.learner.folder}')
+
+    @property
+    def late_topics(self) -> list[str]:
+        """Return the overridden topics of namespaces that may be found later."""
+        own = [publisher.topic_name for publisher in self.publishers]
+        own += [subscription.topic_name for subscription in self.subscriptions]
+        names = {topic.rpartition('/')[2] for topic in own}
+        return [topic for topic in self.overridden_topics if topic.rpartition('/')[2] in names]
 
     def _add_source(self, namespace: str) -> None:
         """Subscribe to a namespace to learn from it."""

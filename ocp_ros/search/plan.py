@@ -66,7 +66,8 @@ def load_kernels(*planners: str) -> None:
 
     Each planner plans once in a process in a tiny room; without cached kernels it compiles them.
     """
-    notice = Timer(2.0, _log.warning, (
+    # Cached kernels are loaded sooner.
+    notice = Timer(5.0, _log.warning, (
         'compiling the kernels, once for this computer: about 30 s; the search begins after this',
     ))
     notice.daemon = True

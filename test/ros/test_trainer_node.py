@@ -419,3 +419,12 @@ def test_a_trainer_that_starts_from_a_model_has_its_sizes(start, small_agent, tm
     learned, saved = start(model=str(path)).learner.checkpoint(), Checkpoint.load(path)
     assert_same(*({name: value.numpy() for name, value in one.weights.items()}
                   for one in (learned, saved)))
+
+
+def test_quality_of_service_follows_parameters(start, capfd):
+    known = 'qos_overrides./training.publisher.depth'
+    trainer = start(**{known: 3, 'qos_overrides./later/reward.subscription.depth': 3})
+    assert {one.topic_name: one.qos_profile.depth for one in trainer.publishers}['/training'] == 3
+    assert 'qos_overrides' not in capfd.readouterr().err
+    start(**{'qos_overrides./trianing.publisher.depth': 3})
+    assert "'/trianing'; did you mean '/training'" in capfd.readouterr().err

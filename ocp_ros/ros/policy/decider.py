@@ -290,7 +290,7 @@ class Decider:
     def _find_mount(self, cloud: np.ndarray, state: RigState) -> None:
         """Take real cameras without a rig file to be on tripods, as a rig file does by height."""
         positions = state.placement[:, :3]
-        # As long as the cloud is no room with a floor below the cameras, the next turn tries again.
+        # While the cloud shows no floor below the cameras, the next turn tries again.
         with suppress(ConfigurationError, SceneError):
             floor = floors_of(Scene(cloud, 'observed cloud')).under(positions)
             height = float(np.median(positions[:, 2] - floor))

@@ -21,7 +21,7 @@ By default a node configures and activates itself, so that ``ros2 run`` is one s
 node cannot be configured, it logs why and can be configured again.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from copy import copy
 import re
 from typing import Any
@@ -123,7 +123,47 @@ def _allow_overrides(topic: str, profile: QoSProfile | int, settings: dict) -> Q
     return copy(profile)
 
 
-class ManagedNode(LifecycleNode):
+class OverridableNode(Node):
+    """A node whose publishers and subscriptions take their quality of service from parameters."""
+
+    def create_publisher(self, msg_type, topic: str, qos_profile, **settings) -> Publisher:
+        """Create a publisher; parameters may override its quality of service."""
+        profile = _allow_overrides(topic, qos_profile, settings)
+        return super().create_publisher(msg_type, topic, profile, **settings)
+
+    def create_subscription(self, msg_type, topic: str, callback, qos_profile, **settings
+                            ) -> Subscription:
+        """Create a subscription; parameters may override its quality of service."""
+        profile = _allow_overrides(topic, qos_profile, settings)
+        return super().create_subscription(msg_type, topic, callback, profile, **settings)
+
+    @property
+    def late_topics(self) -> list[str]:
+        """Return the topics that the node creates only later."""
+        return []
+
+    @property
+    def overridden_topics(self) -> set[str]:
+        """Return the full names of the topics that parameters override."""
+        return self._topics_in(self._parameter_overrides)
+
+    @staticmethod
+    def _topics_in(parameters: Iterable[str]) -> set[str]:
+        """Return the topics in names such as ``qos_overrides.TOPIC.publisher.depth``."""
+        return {name.split('.')[1] for name in parameters if name.startswith('qos_overrides.')}
+
+    def find_unknown_override(self) -> str:
+        """Return in words the first topic that is overridden and that the node lacks; else ''."""
+        late = set(map(self.resolve_topic_name, self.late_topics))
+        try:
+            check_known(sorted(self.overridden_topics), self._topics_in(self._parameters) | late,
+                        f'{self.get_name()}: qos_overrides')
+        except ConfigurationError as error:
+            return str(error)
+        return ''
+
+
+class ManagedNode(OverridableNode, LifecycleNode):
     """
     A node with the life cycle of ROS 2.
 
@@ -160,17 +200,6 @@ class ManagedNode(LifecycleNode):
                     raise self._step_error
         self._is_starting = False
 
-    def create_publisher(self, msg_type, topic: str, qos_profile, **settings) -> Publisher:
-        """Create a publisher; parameters may override its quality of service."""
-        profile = _allow_overrides(topic, qos_profile, settings)
-        return super().create_publisher(msg_type, topic, profile, **settings)
-
-    def create_subscription(self, msg_type, topic: str, callback, qos_profile, **settings
-                            ) -> Subscription:
-        """Create a subscription; parameters may override its quality of service."""
-        profile = _allow_overrides(topic, qos_profile, settings)
-        return super().create_subscription(msg_type, topic, callback, profile, **settings)
-
     def warn(self, about: str, text: str, news: str = '') -> None:
         """
         Log a warning once, and store it for the diagnostics until it ends.
@@ -199,11 +228,6 @@ class ManagedNode(LifecycleNode):
     def deactivate(self) -> None:
         """Stop sending until the next activation; undo everything that ``activate`` has done."""
 
-    @property
-    def late_topics(self) -> list[str]:
-        """Return the topics that the node creates only after its configuration."""
-        return []
-
     def release(self) -> None:
         """Release everything that is not an entity of ROS."""
 
@@ -229,20 +253,8 @@ class ManagedNode(LifecycleNode):
         self._kept_entities = self._entities()
         self.configured = self._try_step(self.configure, self._release_node)
         if self.configured:
-            self._warn_of_overrides()
+            self.warn('qos_overrides', self.find_unknown_override())
         return SUCCESS if self.configured else FAILURE
-
-    def _warn_of_overrides(self) -> None:
-        """Warn of the first topic that has no quality of service which could be overridden."""
-        group = 'qos_overrides'
-        # A parameter is named qos_overrides.TOPIC.publisher.depth, for example.
-        overridden, known = ([name.split('.')[1] for name in names if name.startswith(f'{group}.')]
-                             for names in (self._parameter_overrides, self._parameters))
-        known += map(self.resolve_topic_name, self.late_topics)
-        try:
-            check_known(overridden, known, f'{self.get_name()}: {group}')
-        except ConfigurationError as error:
-            self.warn(group, str(error))
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Activate the node, or log why that fails."""
