@@ -30,7 +30,6 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from ocp_ros.policy.agent_config import CheckpointError
 from ocp_ros.ros.runtime.parameters import (
     declare,
-    first_defaults,
     OtherDefaults,
     read_config,
     renew_defaults,
@@ -169,7 +168,7 @@ class ManagedNode(OverridableNode, LifecycleNode):
 
     :param name: name of the node.
     :param config_type: dataclass of its parameters, with a field ``autostart``.
-    :param other_defaults: see :data:`~ocp_ros.ros.runtime.parameters.OtherDefaults`.
+    :param other_defaults: see :func:`~ocp_ros.ros.runtime.parameters.renew_defaults`.
     :ivar config: parameters in effect.
     :ivar configured: whether the node is configured.
     :ivar active: whether the node is active and may send messages.
@@ -188,9 +187,10 @@ class ManagedNode(OverridableNode, LifecycleNode):
         self._kept_entities: dict[str, set] = {}
         self._step_error: Exception | None = None
         self._other_defaults = other_defaults
+        self.config = declare(self, config_type)
         #: The present default of each parameter.
-        self._defaults = first_defaults(self, config_type, other_defaults)
-        self.config = declare(self, config_type, other_defaults)
+        self._defaults: dict[str, Any] = {}
+        self._renew_config()
         watch_parameters(self, self._store_config)
         #: Whether the constructor starts the node: it raises the error of a failed step itself.
         self._is_starting = self.config.autostart
@@ -245,11 +245,15 @@ class ManagedNode(OverridableNode, LifecycleNode):
         if self.configured:
             self.apply_config(config)
 
-    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Configure the node, or log why that fails."""
+    def _renew_config(self) -> None:
+        """Read the parameters; those that the user has not given get suitable defaults before."""
         self._defaults = renew_defaults(
             self, type(self.config), self._other_defaults, self._defaults)
         self.config = read_config(self, type(self.config))
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Configure the node, or log why that fails."""
+        self._renew_config()
         self._kept_entities = self._entities()
         self.configured = self._try_step(self.configure, self._release_node)
         if self.configured:

@@ -14,7 +14,7 @@
 
 """ROS parameters from configuration dataclasses, which define the defaults."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import Field
 from functools import partial
 from typing import Any, TypeVar
@@ -31,13 +31,10 @@ from rclpy.parameter import Parameter
 
 T = TypeVar('T')
 
-#: A function that gets the values that the user has given, by dotted name, and returns other
-#: defaults of some settings than those of the dataclass.
 OtherDefaults = Callable[[dict[str, Any]], dict[str, Any]]
 
 
-def declare(node: Node, config_type: type[T],
-            other_defaults: OtherDefaults = lambda given: {}) -> T:
+def declare(node: Node, config_type: type[T]) -> T:
     """
     Declare every setting of a dataclass as a parameter, and read the given values.
 
@@ -46,14 +43,12 @@ def declare(node: Node, config_type: type[T],
 
     :param node: the node that gets the parameters.
     :param config_type: configuration dataclass; settings of groups get dotted names.
-    :param other_defaults: see :data:`OtherDefaults`.
     :returns: the configuration in effect.
     :raises ConfigurationError: for a parameter that does not exist.
     """
     settings = leaves(config_type)
-    defaults = first_defaults(node, config_type, other_defaults)
     for name, field in settings.items():
-        node.declare_parameter(name, defaults[name], _descriptor_of(field))
+        node.declare_parameter(name, field.default, _descriptor_of(field))
     # rclpy would ignore unknown parameters without a warning. Those with the prefix
     # qos_overrides change the quality of service of topics.
     unknown = [name for name in node._parameter_overrides if not node.has_parameter(name)
@@ -63,28 +58,23 @@ def declare(node: Node, config_type: type[T],
     return read_config(node, config_type)
 
 
-def first_defaults(node: Node, config_type: type, other_defaults: OtherDefaults
-                   ) -> dict[str, Any]:
-    """Return the defaults, by dotted name, that suit the values given at the start of a node."""
-    # rclpy keeps the values that the user has given in ``_parameter_overrides``.
-    given = {name: override.value for name, override in node._parameter_overrides.items()}
-    defaults = {name: field.default for name, field in leaves(config_type).items()}
-    return defaults | other_defaults(given)
-
-
 def renew_defaults(node: Node, config_type: type, other_defaults: OtherDefaults,
-                   before: dict[str, Any]) -> dict[str, Any]:
+                   before: Mapping[str, Any]) -> dict[str, Any]:
     """
     Give parameters that the user has not given the defaults that suit the others as they are now.
 
-    :param before: the result of the last call, or of :func:`first_defaults`.
+    :param other_defaults: gets the values that the user has given, by dotted name; returns other
+        defaults of some settings than those of the dataclass.
+    :param before: the result of the last call; empty in the first call.
     :returns: the defaults by dotted name.
     """
     settings = leaves(config_type)
     values = {name: node.get_parameter(name).value for name in settings}
+    defaults = {name: field.default for name, field in settings.items()}
+    # rclpy keeps the values given at the start in ``_parameter_overrides``.
     given = {name: value for name, value in values.items()
-             if name in node._parameter_overrides or value != before[name]}
-    defaults = {name: field.default for name, field in settings.items()} | other_defaults(given)
+             if name in node._parameter_overrides or value != (before or defaults)[name]}
+    defaults |= other_defaults(given)
     node.set_parameters_atomically([
         Parameter(name, value=defaults[name]) for name, value in values.items()
         if name not in given and value != defaults[name]])
