@@ -73,6 +73,9 @@ class TrainerNodeConfig(LearnerConfig):
 class TrainerNode(OverridableNode):
     """Collect transitions from many namespaces, train a policy, and publish its weights."""
 
+    # Namespaces come and go, and declared overrides would stay.
+    declares_all_overrides = False
+
     def __init__(self, **kwargs) -> None:
         super().__init__('trainer_node', **kwargs)
         self.config = declare(self, TrainerNodeConfig)
@@ -105,11 +108,11 @@ class TrainerNode(OverridableNode):
 
     @property
     def late_topics(self) -> list[str]:
-        """Return the overridden topics of namespaces that may be found later."""
-        own = [publisher.topic_name for publisher in self.publishers]
-        own += [subscription.topic_name for subscription in self.subscriptions]
+        """Return its topics, and the overridden ones of namespaces that may be found later."""
+        own = [source_topic for source in self.sources.values() for source_topic in source.topics]
         names = {topic.rpartition('/')[2] for topic in own}
-        return [topic for topic in self.overridden_topics if topic.rpartition('/')[2] in names]
+        return own + [topic for topic in self.overridden_topics
+                      if not self.config.sources and topic.rpartition('/')[2] in names]
 
     def _add_source(self, namespace: str) -> None:
         """Subscribe to a namespace to learn from it."""

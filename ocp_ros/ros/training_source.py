@@ -129,6 +129,12 @@ class TransitionSource:
                 (PoseArray, topics.CAMERA_POSES, self._on_poses),
                 (UInt8MultiArray, topics.EXPERIENCE, self._on_experience))]
 
+    @property
+    def topics(self) -> list[str]:
+        """Return the full names of its topics."""
+        return [self._weights_publisher.topic_name, self._status_publisher.topic_name,
+                *(subscription.topic_name for subscription in self._subscriptions)]
+
     def _store_transitions_of(self, callback):
         """
         Return a callback that stores transitions, and that counts and logs messages it refuses.

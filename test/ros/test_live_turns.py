@@ -246,7 +246,8 @@ def test_cameras_that_send_nonsense_do_not_stop_the_others(live):
 
 
 def test_without_a_rig_file_no_camera_is_sent_over_furniture(live, room):
-    rig, policy = live.start(turns=6)
+    rig, policy = live.start(turns=6, cloud_timeout=1.0)
+    start = rig.positions
     live.last(topics.PLACEMENT)
     # Not the first two: the few points seen by then hardly show furniture. Commands come again.
     commands = {stamp_to_ns(message.header.stamp): msg_to_positions(message)[:, :2]
@@ -254,6 +255,20 @@ def test_without_a_rig_file_no_camera_is_sent_over_furniture(live, room):
     targets = np.concatenate([commands[stamp] for stamp in sorted(commands)[2:]])
     furniture = room.points[(room.points[:, 2] > 0.2) & (room.points[:, 2] < 1.8), :2]
     assert np.linalg.norm(targets[:, None] - furniture[None], axis=2).min() > 0.35
+    # Next come other cameras.
+    live.graph.remove(rig)
+    assert live.call(Trigger, 'policy_node/reset').success
+    poses = live.publisher(PoseArray, topics.CAMERA_POSES, qos.LOOP)
+    cloud = live.publisher(PointCloud2, 'points_2', qos.LOOP)
+    answered = counted(policy, 'turns_answered')
+
+    def answers():
+        rig.stamp += S // 50
+        poses.publish(positions_to_msg(start[:2], header_at(rig.stamp)))
+        cloud.publish(cloud_to_msg(room.points, header_at(rig.stamp)))
+        return counted(policy, 'turns_answered') > answered
+
+    live.graph.until(answers)
 
 
 def test_turns_that_cannot_be_answered_are_named_once(live, tmp_path):

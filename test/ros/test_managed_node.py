@@ -248,8 +248,8 @@ def test_defaults_suit_what_is_given_when_a_node_is_configured(
     assert configured_again(cloud_topics='points') == [12, 1.5, 1.6]
     assert configured_again(rig_file=str(path)) == [12, 0.7, 1.6]
     # What a person has set stays.
-    assert configured_again(rig_file='', turns=4) == [4, 1.5, 1.6]
-    assert configured_again(cloud_topics='') == [4, 0.5, 0.5]
+    assert configured_again(rig_file='', turns=12) == [12, 1.5, 1.6]
+    assert configured_again(cloud_topics='') == [12, 0.5, 0.5]
 
 
 @pytest.mark.parametrize('autostart', [True, False])

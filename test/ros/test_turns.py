@@ -372,15 +372,29 @@ def test_clouds_from_the_future_are_named_and_not_used(clock):
     assert delivered(turns, 100 + clock.now, 'later', 'a') == [('a', 'later')]
 
 
-def test_poses_that_came_late_once_and_then_no_more_stop_no_topic(clock):
+@pytest.mark.parametrize('rate', [5.0, 30.0])
+def test_poses_that_came_late_once_and_then_no_more_stop_no_topic(clock, rate):
     turns = make(clock)
     # Some rigs publish poses only while they move; these waited in a queue for three seconds.
     stands(turns, 97.0, HERE)
     assert not delivered(turns, 100.0, 'soon', 'a')
-    for _ in range(20):
-        clock.now += 0.2
+    while clock.now < 4.0:
+        clock.now += 1.0 / rate
         delivered(turns, 100 + clock.now, 'good', 'a')
     assert turns.is_due() and not turns.clock_leads()
+
+
+def test_a_cloud_of_a_move_is_not_used_though_its_clock_leads(clock):
+    turns = make(clock)
+    # Poses come only while the cameras move.
+    turns.on_poses(100 * S, HERE)
+    turns.on_poses(100 * S + STEADY_NS, THERE)
+    clock.now = 0.4
+    turns.on_cloud('a', 130 * S, 'of the move')
+    clock.now = 1.0
+    assert not taken(turns)
+    clock.now = 1.2
+    assert delivered(turns, 130.8, 'later', 'a') == [('a', 'later')]
 
 
 @for_any(30, seed=strategies.integers(0, 2 ** 32 - 1))

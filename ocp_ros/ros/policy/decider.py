@@ -20,6 +20,7 @@ PyTorch is imported only where a policy is made: its import takes longer than al
 
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
+from dataclasses import replace
 import math
 import time
 from typing import TYPE_CHECKING
@@ -116,8 +117,8 @@ class Decider:
         # An error in a step is logged and must not end this node.
         self.step = OnlineStep(planner, config, self.rig, log.error, at_once)
         self.stay_warnings: list[str] = []
-        #: Whether it is known what cameras without a rig file stand on.
-        self._mount_is_known = self.rig is not None or not config.live_topics
+        #: Size of the cloud in which real cameras without a rig file were last looked at.
+        self._mount_points = 0
         self._thread = ThreadPoolExecutor(1, 'planner')
         #: The plan that is being made while the cameras move; None if there is none.
         self._plan: Future[None] | None = None
@@ -128,6 +129,10 @@ class Decider:
         """Drop the data of the last episode."""
         self._end_planning()
         self.step.reset()
+        if self.rig is None:
+            # Next, there may be other cameras.
+            self._mount_points = 0
+            self.step.constrain(None)
 
     def close(self) -> None:
         """End the planner."""
@@ -274,7 +279,8 @@ class Decider:
         state = self.state(poses)
         at_once = self.step.planner.at_once
         self._end_planning(self._config.think_seconds if at_once else PATIENCE_S)
-        if not self._mount_is_known:
+        is_unknown_rig = self.rig is None and bool(self._config.live_topics)
+        if is_unknown_rig and len(cloud) > 1.5 * self._mount_points:
             self._find_mount(cloud, state)
         # The parameter ``turns`` may have been lowered below the number of turns played.
         turns = self._config.turns
@@ -289,19 +295,24 @@ class Decider:
 
     def _find_mount(self, cloud: np.ndarray, state: RigState) -> None:
         """Take real cameras without a rig file to be on tripods, as a rig file does by height."""
+        self._mount_points = len(cloud)
         positions = state.placement[:, :3]
-        # While the cloud shows no floor below the cameras, the next turn tries again.
+        # Cameras whose height is not that of cameras are left as they are.
         with suppress(ConfigurationError, SceneError):
             floor = floors_of(Scene(cloud, 'observed cloud')).under(positions)
             height = float(np.median(positions[:, 2] - floor))
-            rig = rig_of(len(positions), mount={'on': 'plane', 'height': height})
-            self._mount_is_known = True
-            if footprint := rig.mount.footprint:
-                self.step.constrain(rig)
-                self._log.info(
-                    f'cameras: found them {height:.2f} m above the floor and no rig file: they '
-                    f'are taken to be on tripods, with {footprint} m of free floor around each; '
-                    'for others name a rig_file, whose mount may have footprint: 0')
+            rig = rig_of(len(positions), mount={'on': 'plane', 'height': height},
+                         keep_clear=self._config.clearance)
+            rig = replace(rig, cameras=tuple(
+                camera._replace(name=f'camera_{number}')
+                for number, camera in enumerate(rig.cameras)))
+            on_tripods = rig.mount.footprint > 0.0
+            if on_tripods != (self.step.rig is not None):
+                self.step.constrain(rig if on_tripods else None)
+                feet = f'on tripods, with {rig.mount.footprint} m of free floor around each' \
+                    if on_tripods else 'not on tripods'
+                self._log.info(f'cameras: found them {height:.2f} m above the floor and no rig '
+                               f'file: taken to be {feet}; to change this, name a rig_file')
 
     def describe_gain(self, cloud: np.ndarray, poses: PoseArray, command: PoseArray) -> str:
         """Return a sentence on the expected gain of a command; empty if too little is observed."""

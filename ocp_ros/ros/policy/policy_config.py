@@ -68,7 +68,8 @@ class PolicyNodeConfig(EpisodeLimits):
     threads: int = setting(
         0, 'number of threads that evaluate positions; 0: one per core', 0, 1024)
     rig_file: str = setting(
-        '', 'rig file whose constraints every command keeps (docs/reference/rig.md); empty: none')
+        '', 'rig file whose constraints every command keeps (docs/reference/rig.md); empty: none, '
+        'but real cameras below 2.2 m are taken to be on tripods')
     placement_file: str = setting('', 'file for the final placement, .yaml or .json '
                                   '(docs/reference/placement.md); empty: write no file')
     scan: str = setting('', 'live: scan of the room in the frame of the poses, metres, z up: '

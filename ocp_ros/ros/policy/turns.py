@@ -150,6 +150,9 @@ class Turns(Generic[T]):
         #: By how much the stamps of a topic's newest clouds are later than those of poses,
         #: nanoseconds.
         self._cloud_leads = defaultdict[str, deque[int]](partial(deque, [0], maxlen=5))
+        #: By topic: stamp of the poses that its last cloud was compared with, and when that came.
+        self._compared_poses: dict[str, int] = {}
+        self._cloud_times: dict[str, float] = {}
         #: Time at which the newest poses came.
         self._pose_time = clock()
         #: Source whose stamps went back last, and the time of that.
@@ -293,10 +296,15 @@ class Turns(Generic[T]):
         """Store a cloud with its stamp (ns); it replaces the unread cloud of its topic."""
         if self._accept_stamp(topic, stamp):
             self._unread_clouds[topic] = stamp, cloud
-            # Poses measured now would have the stamp of the newest poses plus their age.
+            now = self._cloud_times[topic] = self._clock()
             if POSES in self._newest_stamps and self._poses_are_new:
-                self._cloud_leads[topic].append(
-                    stamp - self._pose_stamp - int((self._clock() - self._pose_time) * 1e9))
+                leads = self._cloud_leads[topic]
+                # One lead for each of the poses: it may be the delay of these poses.
+                if self._compared_poses.get(topic) == self._pose_stamp:
+                    leads.pop()
+                self._compared_poses[topic] = self._pose_stamp
+                # Poses measured now would have the stamp of the newest poses plus their age.
+                leads.append(stamp - self._pose_stamp - int((now - self._pose_time) * 1e9))
 
     @property
     def _poses_are_new(self) -> bool:
@@ -320,6 +328,7 @@ class Turns(Generic[T]):
         self.stamp_jumps += 1
         self._newest_stamps.clear()
         self._cloud_leads.clear()
+        self._compared_poses.clear()
         self._recent_poses.clear()
         self.drop_clouds()
         self._pose_stamp = stamp
@@ -352,10 +361,13 @@ class Turns(Generic[T]):
         return None
 
     def _may_lead(self, topic: str) -> bool:
-        """Return whether the clouds of a topic seem to have a clock ahead of that of the poses."""
+        """Return whether the cloud of a topic may be of before, by a clock ahead of the poses."""
+        if self._cloud_leads[topic][-1] <= MAX_LEAD_NS:
+            return False
         # Without newer poses, a lead that was found once was perhaps the delay of the last ones.
-        return self._cloud_leads[topic][-1] > MAX_LEAD_NS and (
-            self._poses_are_new or topic in self.clock_leads())
+        # Then a cloud that came after the cameras stood still is used.
+        return (self._poses_are_new or topic in self.clock_leads()
+                or self._cloud_times[topic] <= self.standing_begin.time)
 
     def put_back(self, topic: str, stamp: int, cloud: T) -> bool:
         """

@@ -106,35 +106,41 @@ def publish_diagnostics(node: Node, make_status: Callable[[], Status]) -> None:
     create_steady_timer(node, 1.0, publish)
 
 
-def _allow_overrides(topic: str, profile: QoSProfile | int, settings: dict) -> QoSProfile | int:
-    """
-    Return the profile of a topic; let parameters override it if the topic is of this package.
-
-    :param profile: the profile, or the number of messages to keep, which is returned unchanged.
-    :param settings: keyword arguments for rclpy; gets the option that declares the parameters.
-    """
-    # Topics that begin with these names, or with ~, are common to nodes of all packages.
-    common_topics = ('/rosout', '/parameter_events', '/diagnostics', '/clock', '/tf')
-    if topic.startswith(('~', *common_topics)) or not isinstance(profile, QoSProfile):
-        return profile
-    settings.setdefault('qos_overriding_options', QoSOverridingOptions.with_default_policies())
-    # rclpy writes the overrides into the profile: return a copy.
-    return copy(profile)
-
-
 class OverridableNode(Node):
     """A node whose publishers and subscriptions take their quality of service from parameters."""
 
+    #: Whether it declares these parameters for all topics, not only where they are given.
+    declares_all_overrides = True
+
     def create_publisher(self, msg_type, topic: str, qos_profile, **settings) -> Publisher:
         """Create a publisher; parameters may override its quality of service."""
-        profile = _allow_overrides(topic, qos_profile, settings)
+        profile = self._allow_overrides(topic, qos_profile, settings)
         return super().create_publisher(msg_type, topic, profile, **settings)
 
     def create_subscription(self, msg_type, topic: str, callback, qos_profile, **settings
                             ) -> Subscription:
         """Create a subscription; parameters may override its quality of service."""
-        profile = _allow_overrides(topic, qos_profile, settings)
+        profile = self._allow_overrides(topic, qos_profile, settings)
         return super().create_subscription(msg_type, topic, callback, profile, **settings)
+
+    def _allow_overrides(self, topic: str, profile: QoSProfile | int, settings: dict
+                         ) -> QoSProfile | int:
+        """
+        Return the profile of a topic; let parameters override it if it is of this package.
+
+        :param profile: the profile, or the number of messages to keep, which is returned as it is.
+        :param settings: keyword arguments for rclpy; gets the option that declares the parameters.
+        """
+        # Topics that begin with these names, or with ~, are common to nodes of all packages.
+        common_topics = ('/rosout', '/parameter_events', '/diagnostics', '/clock', '/tf')
+        if topic.startswith(('~', *common_topics)) or not isinstance(profile, QoSProfile):
+            return profile
+        if self.declares_all_overrides or (
+                self.resolve_topic_name(topic) in self.overridden_topics):
+            settings.setdefault('qos_overriding_options',
+                                QoSOverridingOptions.with_default_policies())
+        # rclpy writes the overrides into the profile: return a copy.
+        return copy(profile)
 
     @property
     def late_topics(self) -> list[str]:
@@ -188,8 +194,8 @@ class ManagedNode(OverridableNode, LifecycleNode):
         self._step_error: Exception | None = None
         self._other_defaults = other_defaults
         self.config = declare(self, config_type)
-        #: The present default of each parameter.
-        self._defaults: dict[str, Any] = {}
+        #: Names of the parameters that the user has given.
+        self.given_parameters = set(self._parameter_overrides)
         self._renew_config()
         watch_parameters(self, self._store_config)
         #: Whether the constructor starts the node: it raises the error of a failed step itself.
@@ -247,8 +253,7 @@ class ManagedNode(OverridableNode, LifecycleNode):
 
     def _renew_config(self) -> None:
         """Read the parameters; those that the user has not given get suitable defaults before."""
-        self._defaults = renew_defaults(
-            self, type(self.config), self._other_defaults, self._defaults)
+        renew_defaults(self, self._other_defaults)
         self.config = read_config(self, type(self.config))
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:

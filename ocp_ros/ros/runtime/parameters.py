@@ -14,10 +14,10 @@
 
 """ROS parameters from configuration dataclasses, which define the defaults."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import Field
 from functools import partial
-from typing import Any, TypeVar
+from typing import Any, TYPE_CHECKING, TypeVar
 
 from ocp_ros.util.settings import check_known, ConfigurationError, from_flat, leaves
 from rcl_interfaces.msg import (
@@ -29,8 +29,10 @@ from rcl_interfaces.msg import (
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-T = TypeVar('T')
+if TYPE_CHECKING:
+    from ocp_ros.ros.runtime.managed_node import ManagedNode
 
+T = TypeVar('T')
 OtherDefaults = Callable[[dict[str, Any]], dict[str, Any]]
 
 
@@ -58,42 +60,37 @@ def declare(node: Node, config_type: type[T]) -> T:
     return read_config(node, config_type)
 
 
-def renew_defaults(node: Node, config_type: type, other_defaults: OtherDefaults,
-                   before: Mapping[str, Any]) -> dict[str, Any]:
+def renew_defaults(node: 'ManagedNode', other_defaults: OtherDefaults) -> None:
     """
     Give parameters that the user has not given the defaults that suit the others as they are now.
 
     :param other_defaults: gets the values that the user has given, by dotted name; returns other
         defaults of some settings than those of the dataclass.
-    :param before: the result of the last call; empty in the first call.
-    :returns: the defaults by dotted name.
     """
-    settings = leaves(config_type)
+    settings = leaves(type(node.config))
     values = {name: node.get_parameter(name).value for name in settings}
-    defaults = {name: field.default for name, field in settings.items()}
-    # rclpy keeps the values given at the start in ``_parameter_overrides``.
-    given = {name: value for name, value in values.items()
-             if name in node._parameter_overrides or value != (before or defaults)[name]}
-    defaults |= other_defaults(given)
-    node.set_parameters_atomically([
-        Parameter(name, value=defaults[name]) for name, value in values.items()
-        if name not in given and value != defaults[name]])
-    return defaults
+    defaults = {name: field.default for name, field in settings.items()} | other_defaults(
+        {name: values[name] for name in node.given_parameters if name in values})
+    renewed = [name for name, value in values.items()
+               if name not in node.given_parameters and value != defaults[name]]
+    node.set_parameters_atomically([Parameter(name, value=defaults[name]) for name in renewed])
+    node.given_parameters.difference_update(renewed)
 
 
-def watch_parameters(node: Node, apply_config: Callable[[T], None]) -> None:
+def watch_parameters(node: 'ManagedNode', apply_config: Callable[[T], None]) -> None:
     """
     Call a function when the parameters of a node have changed.
 
     :param node: its attribute ``config`` is what :func:`declare` has returned.
     :param apply_config: is called with the new configuration once it is in effect.
     """
-    config_type = type(node.config)  # type: ignore[attr-defined]
+    config_type = type(node.config)
     settings = leaves(config_type)
 
     def apply_changes(parameters: list[Parameter]) -> None:
         changed = [f'{p.name} = {p.value!r}' for p in parameters if p.name in settings]
         if changed:
+            node.given_parameters.update(p.name for p in parameters)
             apply_config(read_config(node, config_type))
             node.get_logger().info(f'from now on {", ".join(changed)}')
 
