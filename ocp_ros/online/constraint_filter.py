@@ -304,8 +304,9 @@ class ConstraintFilter:
             None to make these checks.
         """
         if new_points is not None:
-            # Only these points can be within ``keep_clear`` of a place that the camera can reach.
-            radius = max_step + self.rig.keep_clear + ROUNDING
+            # Only these points can be too near to a place that the camera can reach.
+            distance = max(self.rig.keep_clear, self.rig.mount.footprint)
+            radius = max_step + distance + ROUNDING
             offsets = np.abs(new_points[:, :2] - position[:2].astype(np.float32))
             new_points = new_points[(offsets <= radius).all(axis=1)]
 

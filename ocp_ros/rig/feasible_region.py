@@ -331,13 +331,18 @@ class FeasibleRegion:
         """
         Return whether cameras keep their distance from points that may be missing in the scene.
 
+        The feet of tripods keep theirs too.
+
         :param positions: (M, 3), the positions of M cameras, metres.
         :param points: (N, 3) float32, N points, metres; points of the surface that a camera is
             mounted on are ignored.
         :returns: (M,) bool.
         """
         contact = None if self.surface is None else self.surface.at(positions)
-        return ~self._clearance_check(positions, contact, points, cKDTree(points)).violated
+        clear = ~self._clearance_check(positions, contact, points, cKDTree(points)).violated
+        if self.rig.mount.footprint:
+            clear &= ~self._footprint_check(positions, self._obstacles_among(points)).violated
+        return clear
 
     def _checks(self, poses: np.ndarray, models: Sequence[CameraModel | None],
                 floor_margin: float) -> Iterator[Check]:
@@ -360,7 +365,7 @@ class FeasibleRegion:
         yield self._clearance_check(positions, contact, self._obstacles, self._tree)
         yield from self._mount_checks(positions, contact)
         if self.rig.mount.footprint:
-            yield self._footprint_check(positions)
+            yield self._footprint_check(positions, self._obstacle_tree)
         for number, zone in enumerate(self.rig.keep_out, start=1):
             inside = zone.contains(positions, self.floor)
             yield Check(f'keep-out zone {number}', inside, lambda k, number=number: (
@@ -423,10 +428,8 @@ class FeasibleRegion:
             f'found {nearest[k]:.2f} m to the nearest surface, walls up to the ceiling included; '
             f'expected at least {clearance:.2f} m (keep_clear); move it away'))
 
-    @cached_property
-    def _obstacle_tree(self) -> cKDTree:
-        """Return a search tree of obstacles on the floor below the cameras, seen from above."""
-        points = self.scene.points
+    def _obstacles_among(self, points: np.ndarray) -> cKDTree:
+        """Return a search tree of the obstacles on the floor below the cameras, from above."""
         height = points[:, 2] - self.floors.under(points)
         # Points this near to the floor are no obstacles, for example those of skirting boards.
         # Points this near to the height of the cameras are none either.
@@ -436,11 +439,16 @@ class FeasibleRegion:
         cell_m = 0.02
         return cKDTree(cell_m * np.unique(np.rint(obstacles / cell_m), axis=0))
 
-    def _footprint_check(self, positions: np.ndarray) -> Check:
+    @cached_property
+    def _obstacle_tree(self) -> cKDTree:
+        """Return the search tree of the obstacles in the scene."""
+        return self._obstacles_among(self.scene.points)
+
+    def _footprint_check(self, positions: np.ndarray, obstacles: cKDTree) -> Check:
         """Check that there are no obstacles within the footprint of a tripod."""
         radius = self.rig.mount.footprint
         # The distance is inf if there is no obstacle within the radius.
-        distance, _ = self._obstacle_tree.query(positions[:, :2], distance_upper_bound=radius)
+        distance, _ = obstacles.query(positions[:, :2], distance_upper_bound=radius)
         return Check('mount.footprint', np.isfinite(distance), lambda k: (
             f'found something that stands {distance[k]:.2f} m from the place below it; expected '
             f'floor within {radius:g} m (mount.footprint); move it away'))
