@@ -377,9 +377,7 @@ class Panel:
         entry = self._selected_entry
         is_box = entry is not None and entry.is_box
         is_region = entry is not None and entry.key == 'regions'
-        self.low_corner.visible = self.high_corner.visible = is_box
-        self.zone_name.visible = self.weight.visible = self.must_see.visible = is_region
-        self.remove_zone_button.visible = entry is not None
+        # Values first: a field that can be seen holds what it shows.
         if is_box:
             low, high = zone_edits.box_data(*entry.data['box'])
             self.low_corner.value, self.high_corner.value = tuple(low), tuple(high)
@@ -387,6 +385,9 @@ class Panel:
             region = self.studio.state.rig.regions[entry.number]
             self.zone_name.value = entry.data['name']
             self.weight.value, self.must_see.value = region.weight, region.must_see
+        self.low_corner.visible = self.high_corner.visible = is_box
+        self.zone_name.visible = self.weight.visible = self.must_see.visible = is_region
+        self.remove_zone_button.visible = entry is not None
 
     def _edit_zone(self, **new_values: Any) -> None:
         """Change values of the selected zone, and select it again, since its name may be new."""

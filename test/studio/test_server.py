@@ -294,7 +294,8 @@ def test_buttons_and_fields_of_the_panel_edit_compare_and_save(page, tmp_path, u
         press(panel.edit_buttons, 'Remove', lambda: len(studio.state.poses) == 4)
         press(panel.step_buttons, 'Undo', lambda: len(studio.state.poses) == 5)
         press(panel.step_buttons, 'Redo', lambda: len(studio.state.poses) == 4)
-        press(panel.new_zone_buttons, 'region', lambda: len(studio.state.rig.regions) == 1)
+        press(panel.new_zone_buttons, 'region', lambda: (
+            len(studio.state.rig.regions) == 1 and panel.must_see.visible))
         press(panel.must_see, 0.9, lambda: studio.state.rig.regions[0].must_see == 0.9)
         press(panel.new_zone_buttons, 'keep-out zone', lambda: len(studio.state.rig.keep_out) == 1)
         press(panel.remove_zone_button, True, lambda: not studio.state.rig.keep_out)
