@@ -223,7 +223,8 @@ def test_live_cameras_are_turned_and_waited_for(graph, probe, rig_file, room):
     assert episode.turn.depth_error < 0.97 * first.depth_error
     # A last command of a degree counts as carried out before the rig has heard of it.
     final = [heading_of(pose.rotation) for pose in found]
-    graph.until(lambda: np.allclose(final, episode.turn.headings, atol=1e-9))
+    graph.until(lambda: np.allclose(final, episode.turn.headings, rtol=1e-7, atol=1e-9))
+    np.testing.assert_allclose(final, episode.turn.headings, atol=1e-9)
     assert np.abs(episode.turn.headings - first.headings).max() > 0.5
     # What was fused is where it is, whatever frame it came in and however that was turned.
     away, _ = cKDTree(room.points).query(msg_to_cloud(probe.last(topics.OBSERVATION)))
