@@ -33,7 +33,7 @@ import pytest
 
 #: What stands beside the sources of somebody who works on them, and is no part of them.
 LEFT_OUT = shutil.ignore_patterns(
-    '.git', '.venv', '.hypothesis', '.*_cache', '__pycache__', 'build', 'install', 'log', 'out',
+    '.git', '.venv*', '.hypothesis', '.*_cache', '__pycache__', 'build', 'install', 'log', 'out',
     '*.egg-info')
 #: What a node says once it is there and has found which interfaces are this machine's.
 READY = 'nodes of this machine are heard, and no others'
