@@ -276,8 +276,8 @@ def speed(points: int = 25000) -> dict[str, float]:
     with ThreadPoolExecutor(2) as pool:
         both = median_seconds(lambda: list(pool.map(steps, range(2))))
         moved = median_seconds(lambda: list(pool.map(one_moved, range(600))))
-    alone = median_seconds(lambda: simulator.evaluate_many(placements))
-    together = median_seconds(lambda: simulator.evaluate_many(placements, threads=2))
+        together = median_seconds(lambda: list(pool.map(simulator.evaluate, placements)))
+    alone = median_seconds(lambda: list(map(simulator.evaluate, placements)))
     return {'points': len(scene), 'env_steps_per_s': 600 / both,
             'evaluations_per_s': 300 / together, 'evaluations_per_s_one_moved': 600 / moved,
             'scaling_2_threads': alone / together}

@@ -88,7 +88,9 @@ def planned(scene: Scene, rig_name: str) -> dict:
     proof = {'gap': 1.0, 'moved': 0.0, 'priced': 0} if known is None else {
         'gap': known.gap, 'moved': known.moved or 0.0, 'priced': known.candidates}
     return {'poses': plan.answer.poses.tolist(), 'promised': plan.validated.placement,
-            'worst': plan.validated.nothing, 'seconds': seconds, **proof,
+            'worst': plan.validated.nothing, 'unscanned':
+            problem.objective.validation.simulator.depth_error.unscanned.error,
+            'seconds': seconds, **proof,
             'climbed': 1.0 - problem.objective.loss(views_of(climbed)) / plan.answer.loss,
             'online': online.answer.poses.tolist()}
 
@@ -173,7 +175,9 @@ def scans_of(folder: Path) -> dict:
 
 def _kept(rows: list[dict]) -> dict:
     """Return how far promises are kept."""
-    hoped = [expected(row['promised'], row['worst']) for row in rows]
+    # The other half of a scan lacks what one half lacks.
+    hoped = [expected(row['promised'], row['worst'], unscanned=row.get('unscanned', 0.0))
+             for row in rows]
     return {
         'promise_mean': geometric([row['promised'] / row['delivered'] for row in rows]),
         'expected_mean': geometric([hope['depth_error'] / row['delivered']

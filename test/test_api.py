@@ -171,7 +171,6 @@ WRONG = {
     'placement: found an array of shape': lambda engine: engine.evaluate([1, 2, 3]),
     'placement: found str': lambda engine: engine.evaluate('x'),
     'placement: found NaN': lambda engine: engine.evaluate([[np.nan, 1, 1]]),
-    'placements: found': lambda engine: engine.evaluate_many([[1, 2, 3]]),
     'simulator: found': lambda _: Simulator(None, SimulationConfig()),
     'found max_points=None': lambda _: load_scene('room.ply', max_points=None),
     'path: found NoneType; expected the path of a scan': lambda _: load_scene(None),

@@ -33,6 +33,7 @@ from ocp_ros.geometry.packed_bits import no_bits
 from ocp_ros.geometry.shadow_maps import footprints, projected
 from ocp_ros.util.kernels import njit
 from ocp_ros.util.threads import mapped
+from scipy import ndimage
 
 #: The largest half side of a point's cube, in multiples of the median spacing of all points: a
 #: stray point must not cover as much as a wall.
@@ -234,6 +235,47 @@ def _join(arrays: list[np.ndarray]) -> np.ndarray:
     return joined
 
 
+def pixel_angles(rows: int, columns: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return elevations (H,) and azimuths (W,), radians, of a depth map of H rows, W columns."""
+    return (((np.arange(rows) + 0.5) / rows - 0.5) * np.pi,
+            ((np.arange(columns) + 0.5) / columns - 0.5) * 2.0 * np.pi)
+
+
+class Unscanned(NamedTuple):
+    """
+    What a scan does not show from V viewpoints: directions without any point.
+
+    Gaps of less than three pixels are those between points.
+
+    :ivar shares: (V,) of the pixels of each map, 0 to 1.
+    :ivar error: metres, the depth error if there are surfaces at the bounding box of the points,
+        of which none is visible.
+    """
+
+    shares: np.ndarray
+    error: float
+
+
+def _unscanned(depth_map: np.ndarray, position: np.ndarray, bounds: np.ndarray, far: float
+               ) -> tuple[float, float]:
+    """
+    Return the share of the pixels that are empty, and the sum of their depth errors, metres.
+
+    :param depth_map: (H, W) metres; an empty pixel reads ``far``.
+    :param bounds: (2, 3) metres, the bounding box of all points.
+    """
+    # Columns go around, rows end at the poles.
+    around = {'size': 3, 'mode': ('nearest', 'wrap')}
+    empty = ndimage.maximum_filter(ndimage.minimum_filter(depth_map >= far, **around), **around)
+    elevation, azimuth = (angles[index] for angles, index in zip(
+        pixel_angles(*depth_map.shape), np.nonzero(empty)))
+    directions = np.column_stack([np.cos(elevation) * np.cos(azimuth),
+                                  np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
+    # Pixels are centred beside the axes, so that no component is 0.
+    exits = (np.where(directions > 0.0, bounds[1], bounds[0]) - position) / directions
+    return float(empty.mean()), float((far - np.clip(exits.min(axis=1), 0.0, far)).sum())
+
+
 class DepthError:
     """
     The depth observation error of a scene for any subset of its points.
@@ -282,6 +324,11 @@ class DepthError:
         parts = Trees(*map(list, zip(*(trees for trees, _ in results))))
         # All trees need much memory, so those of a viewpoint are freed when they are joined.
         del results
+        bounds = np.stack([points.min(axis=0), points.max(axis=0)])
+        shares, sums = zip(*(_unscanned(depth_map, position, bounds, empty_depth)
+                             for depth_map, position in zip(self._maps, viewpoints)))
+        #: Of the scene, whatever is visible.
+        self.unscanned = Unscanned(np.array(shares), sum(sums) / self.pixels)
         #: The first node of each viewpoint, and the number of all nodes: (V + 1,).
         self._starts = np.cumsum([0, *map(len, parts.end)])
         for number, start in enumerate(self._starts[:-1]):

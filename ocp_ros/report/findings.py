@@ -19,7 +19,8 @@ A search fits the placement to the scan, so the depth error in the room itself i
 larger than the error on the scan. If the scan has no ceiling or floor, the error on the scan does
 not include what the cameras miss there. The ratio of both errors, each plus an offset, was
 measured in generated rooms, whose meshes are known. :func:`expected` reads the ratios and the
-offset from ``promise.json``, which ``benchmarks/promise.py`` writes.
+offset from ``promise.json``, which ``benchmarks/promise.py`` writes. What a scan does not show in
+an aisle, for example, cameras mostly do not see either: a share of it counts as error.
 """
 
 from collections.abc import Sequence
@@ -45,6 +46,8 @@ from ocp_ros.util.settings import ConfigurationError
 MIN_SEEN_SHARE = 0.005
 #: A scan is sparse if the median edge of the squares that its points stand for is longer, metres.
 SPARSE_PITCH_M = 0.15
+#: Generated rooms that were scanned from all sides had at most 4 % without a point.
+MAX_UNSCANNED_SHARE = 0.05
 
 
 def evaluate_placement(problem: Problem, poses: np.ndarray) -> dict[str, Any]:
@@ -67,11 +70,12 @@ def evaluate_placement(problem: Problem, poses: np.ndarray) -> dict[str, Any]:
     rig_angles = np.rad2deg([*problem.rig.pitch, *problem.rig.rolls]).tolist()
     return {'scores': scores, 'broken': broken_by(problem.region, poses, scores), **improvement,
             'expected': expected(scores['validation_error'], scores['depth_error_of_nothing'],
-                                 gaps_of(scene)),
+                                 gaps_of(scene), scores['unscanned_error']),
             'notes': [*problem.region.fixed_notes(),
                       *angle_notes(fixed_angles, problem.rig.models),
                       *angle_notes(rig_angles), *room_notes(scene),
-                      *missing_surface_notes(missing), *scene.notes,
+                      *missing_surface_notes(missing),
+                      *(() if missing else _unscanned_notes(problem.objective)), *scene.notes,
                       *bandwidth_notes(problem.rig.all_cameras),
                       *_missed_notes(improvement['missed']['share']),
                       *_unseen_room_notes(scores.get('rooms', ()))],
@@ -83,6 +87,19 @@ def _missed_notes(share: float) -> list[str]:
     return [] if share <= 0.9 else [
         f'found {100.0 * share:.0f} % of the points seen by too few cameras; expected most of '
         'them seen; use more cameras, or of longer range']
+
+
+def _unscanned_notes(objective: Objective) -> list[str]:
+    """Return a note if a large share of a room was not scanned."""
+    error = objective.validation.simulator.depth_error
+    shares = error.unscanned.shares
+    if (share := shares.mean()) <= MAX_UNSCANNED_SHARE:
+        return []
+    place = ', '.join(f'{value:.1f}' for value in error.viewpoints[shares.argmax()])
+    return [f'found nothing scanned in {100.0 * share:.0f} % of all directions from places all '
+            f'over the room, most from ({place}); expected at most '
+            f'{100.0 * MAX_UNSCANNED_SHARE:.0f} %; scan from there too, unless it is a window or '
+            'an open door; cameras are expected to miss half of what is there']
 
 
 def _unseen_room_notes(rooms: Sequence[dict[str, Any]]) -> list[str]:
@@ -118,10 +135,12 @@ def rig_scores(objective: Objective, views: Sequence[View], evaluation: RigEvalu
     simulator, rig = objective.simulator, objective.rig
     points = len(simulator.scene)
     validated = objective.validation.evaluate_views(views)
+    unscanned = objective.validation.simulator.depth_error.unscanned
     return {
         'loss': evaluation.loss, 'depth_error': evaluation.depth_error,
         'validation_error': validated.depth_error,
         'depth_error_of_nothing': simulator.depth_error.worst,
+        'unscanned': float(unscanned.shares.mean()), 'unscanned_error': unscanned.error,
         'space_coverage': evaluation.space_coverage,
         # Outside of the room, as through windows, cameras cover space too.
         'volume': max(objective.volume, evaluation.space_coverage),
@@ -364,19 +383,23 @@ def ratios_for(error: float, worst: float, missing: Sequence[str]) -> list[float
     return [min(low, sparse[0]), max(median, sparse[1]), max(high, sparse[2])]
 
 
-def expected(error: float, worst: float, missing: Sequence[str] = ()) -> dict[str, float]:
+def expected(error: float, worst: float, missing: Sequence[str] = (), unscanned: float = 0.0
+             ) -> dict[str, float]:
     """
     Return the depth error that a placement is expected to have in the room itself.
 
     :param error: depth error on the scan, metres.
     :param worst: depth error without any visible point, metres.
     :param missing: what the scan lacks, from :func:`gaps_of`.
+    :param unscanned: depth error of what the scan does not show, if no camera sees it, metres.
     :returns: ``depth_error``, ``low`` and ``high``, metres; in nine of ten rooms the error was
         between ``low`` and ``high``. ``sparse`` is true if the scan is, which makes them wide.
     """
+    table = _ratio_table()
     # The ratios are those of both errors plus an offset, since ratios of small errors say little.
-    offset = _ratio_table()['offset'] * worst
-    low, median, high = (float(np.clip(ratio * (error + offset) - offset, 0.0, worst))
+    offset = table['offset'] * worst
+    missed = error + table['unscanned'] * unscanned + offset
+    low, median, high = (float(np.clip(ratio * missed - offset, 0.0, worst + unscanned))
                          for ratio in ratios_for(error, worst, missing))
     return {'depth_error': median, 'low': low, 'high': high,
             **({'sparse': True} if 'sparse' in missing else {})}

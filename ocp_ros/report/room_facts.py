@@ -18,7 +18,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from ocp_ros.geometry.depth_error import DepthError
+from ocp_ros.geometry.depth_error import DepthError, pixel_angles
 from ocp_ros.rig.free_plane import CELL_M, FreePlane
 from ocp_ros.rig.plausibility import room_notes
 from ocp_ros.rig.structure import Air, ceiling_of, Floors, floors_of
@@ -87,19 +87,16 @@ def openings_of(scene: Scene, air: Air) -> dict[str, float]:
     places = viewpoints_of(scene)
     # In these depth maps of 64 rows a point is a cube, whose half side is 0.75 of its pitch.
     maps = DepthError(scene.points, 0.75 * scene.pitch, scene.diameter, places, 64)
-    rows, columns = maps.shape
-    # As in the depth maps, row 0 is straight down, and column 0 begins at the direction -x.
-    elevation = (np.arange(rows) + 0.5) * 180.0 / rows - 90.0
-    azimuth = (np.arange(columns) + 0.5) * 360.0 / columns - 180.0
-    side = np.empty((rows, columns), dtype=int)
+    elevation, azimuth = pixel_angles(*maps.shape)
+    side = np.empty(maps.shape, dtype=int)
     # The first four sides are quarters of a turn, around the azimuths 0, 90, 180 and 270 degrees.
-    side[:] = np.round(azimuth / 90.0).astype(int) % 4
+    side[:] = np.round(azimuth / (0.5 * np.pi)).astype(int) % 4
     # From this elevation on a direction counts as above or below.
-    steep_degrees = 30.0
-    side[elevation > steep_degrees] = SIDES.index('above')
-    side[elevation < -steep_degrees] = SIDES.index('below')
+    steep = np.deg2rad(30.0)
+    side[elevation > steep] = SIDES.index('above')
+    side[elevation < -steep] = SIDES.index('below')
     # The solid angle of a pixel is proportional to the cosine of its elevation.
-    weights = np.repeat(np.cos(np.deg2rad(elevation)), columns)
+    weights = np.repeat(np.cos(elevation), maps.shape[1])
     # The share of the maps in which a pixel is empty; an empty pixel has the depth ``far``.
     open_shares = np.mean([maps.depth_map(k) >= maps.far for k in range(len(places))], axis=0)
     # For each side, the sum of the solid angles that are open, and of all.

@@ -256,22 +256,20 @@ class FeasibleRegion:
             moved[:, 2] = np.clip(moved[:, 2], *np.add.outer(heights, self.floors.under(moved)))
         return moved
 
-    def broken(self, poses: np.ndarray, cameras: Sequence[int] | None = None) -> list[str]:
+    def broken(self, poses: np.ndarray) -> list[str]:
         """
         Return the constraint violations of a placement.
 
-        :param poses: (K, 6), K poses, metres, map frame, and radians; (K, 3) where no camera has a
-            heading.
-        :param cameras: the number of the camera in the rig for each pose; by default the first K.
+        :param poses: (K, 6), poses of the first K cameras, metres, map frame, and radians; (K, 3)
+            where no camera has a heading.
         :returns: one sentence for each violation.
         :raises ValueError: for another shape, or more rows than cameras.
         """
         poses = _checked_poses(poses)
-        cameras = range(len(poses)) if cameras is None else cameras
         if len(poses) > len(self.rig.cameras):
             raise ValueError(f'poses: found {len(poses)} cameras; expected at most '
                              f'{len(self.rig.cameras)}, those of the rig that are to be placed')
-        chosen = [self.rig.cameras[camera] for camera in cameras]
+        chosen = self.rig.cameras[:len(poses)]
         # Positions up to one cell beyond the known floor are accepted, since the known floor may
         # end that far before the walls.
         checks = list(self._checks(poses, [camera.model for camera in chosen], CELL_M))

@@ -36,7 +36,7 @@ NUMBER_TYPES: dict[int, np.dtype] = {
 KNOWN_EXTENSIONS = ('KHR_materials', 'KHR_texture', 'EXT_texture', 'KHR_lights', 'KHR_animation',
                     'KHR_xmp', 'KHR_mesh_quantization')
 #: How the vertices of a primitive make triangles.
-TRIANGLES, STRIP, FAN = 4, 5, 6
+TRIANGLES, FAN = 4, 6
 
 
 def read_document(path: str) -> tuple[dict[str, Any], bytes]:

@@ -381,7 +381,7 @@ class Simulator:
         :raises ConfigurationError: if it is not a placement, or there are more rows than cameras
             of several kinds.
         """
-        placement = self._checked_poses(placement, 'placement', dimensions=2)
+        placement = self._checked_poses(placement)
         if len(placement) > len(self._lenses) > 1:
             raise ConfigurationError(
                 f'placement: found {len(placement)} cameras; expected at most '
@@ -389,35 +389,20 @@ class Simulator:
         return self.evaluate_views(self.look_from_all(placement, range(len(placement))))
 
     @staticmethod
-    def _checked_poses(poses: Any, name: str, dimensions: int) -> np.ndarray:
-        """Return poses as a float64 array with 2 or 3 array dimensions; refuse anything else."""
-        shape = '(K, 3) or (K, 6)' if dimensions == 2 else '(M, K, 3) or (M, K, 6)'
-        expected = f'expected {shape}, metres and radians, a row for each camera'
+    def _checked_poses(poses: Any) -> np.ndarray:
+        """Return a placement as a float64 array; refuse anything else."""
+        expected = 'expected (K, 3) or (K, 6), metres and radians, a row for each camera'
         try:
             array = np.asarray(poses, dtype=np.float64)
         except (TypeError, ValueError) as error:
-            raise ConfigurationError(f'{name}: found {type(poses).__name__} that is no array of '
-                                     f'numbers; {expected}') from error
-        if array.ndim != dimensions or array.shape[-1] not in (3, 6) or not array.shape[-2]:
-            raise ConfigurationError(f'{name}: found an array of shape {array.shape}; {expected}')
+            raise ConfigurationError(f'placement: found {type(poses).__name__} that is no array '
+                                     f'of numbers; {expected}') from error
+        if array.ndim != 2 or array.shape[1] not in (3, 6) or not len(array):
+            raise ConfigurationError(
+                f'placement: found an array of shape {array.shape}; {expected}')
         if not np.isfinite(array).all():
-            raise ConfigurationError(f'{name}: found NaN or inf; expected finite numbers')
+            raise ConfigurationError('placement: found NaN or inf; expected finite numbers')
         return array
-
-    def evaluate_many(self, placements: np.ndarray, threads: int = 1) -> np.ndarray:
-        """
-        Evaluate M placements of K cameras.
-
-        :param placements: (M, K, 3) or (M, K, 6), rows as in the class.
-        :param threads: the number of threads.
-        :returns: (M, 2) float64: space coverage in cubic metres and depth error in metres.
-        :raises ConfigurationError: if they are not placements.
-        """
-        placements = self._checked_poses(placements, 'placements', dimensions=3)
-        with ThreadPoolExecutor(threads) as pool:
-            # The slice leaves out the subset of points seen.
-            results = list(pool.map(lambda placement: self.evaluate(placement)[1:], placements))
-        return np.array(results).reshape(-1, 2)
 
     def look_many(self, poses: np.ndarray, camera: int = 0, threads: int = 1) -> list[View]:
         """

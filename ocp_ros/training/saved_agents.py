@@ -40,7 +40,7 @@ from ocp_ros.util.settings import ConfigurationError
 #: Name of the planner in results.
 OWN_POLICY = 'own_policy'
 #: Observations: the dictionary of the environment, or all its values in one array.
-DICT, FLAT = OBSERVATIONS = ('dict', 'flat')
+DICT, FLAT = 'dict', 'flat'
 
 
 class SavedAgent(Online):

@@ -22,7 +22,7 @@ from conftest import box_sides, made_room, printed, ROOT
 import numpy as np
 from ocp_ros.cli.main import main
 from ocp_ros.report.facts import score_figures
-from ocp_ros.report.findings import expected, gaps_of
+from ocp_ros.report.findings import evaluate_placement, expected, gaps_of
 from ocp_ros.report.room_facts import facts_of, SIDES
 from ocp_ros.rig.rig_file import rig_of
 from ocp_ros.scenes.scene import Scene, SceneError
@@ -146,6 +146,29 @@ def test_cameras_hang_inside(name, mount):
 def test_an_extended_header_of_pcd_is_named():
     with pytest.raises(SceneError, match='HEADER_EXT'):
         read('ext3.pcd')
+
+
+def test_what_was_not_scanned_counts_half_as_missed():
+    def found_in(points):
+        problem = Problem.of(Scene(points, 'box'), rig_of(1, mount={'on': 'ceiling'}))
+        return evaluate_placement(problem, np.array([[2.5, 2.0, 2.3, 0.0, 0.0, 0.0]]))
+
+    points = box().points
+    x, y, z = points.T
+    # A corner behind a cupboard: no floor, and no walls.
+    is_hidden = (x < 2.5) & (y < 2.5) & (z < 2.0)
+    whole, partial = found_in(points), found_in(points[~is_hidden])
+    assert whole['scores']['unscanned'] == whole['scores']['unscanned_error'] == 0.0
+    assert not any('nothing scanned' in note for note in whole['notes'])
+    assert 0.05 < partial['scores']['unscanned'] < 0.3
+    note, = [note for note in partial['notes'] if 'nothing scanned' in note]
+    at = [float(value) for value in note.split('(')[1].split(')')[0].split(',')]
+    assert (np.array(at) < 2.6).all()
+    missed = partial['scores']['unscanned_error']
+    without = expected(partial['scores']['validation_error'],
+                       partial['scores']['depth_error_of_nothing'])
+    assert 0.4 * missed < partial['expected']['depth_error'] - without['depth_error'] < missed
+    assert partial['expected']['low'] > without['low']
 
 
 #: Of a placement in any room.
