@@ -32,9 +32,9 @@ from ocp_ros.cli.common import (
     claim_folder,
     command_of,
     Commands,
+    EVALUATE,
     Found,
     json_text,
-    JUDGE,
     no_ros,
     show_written,
 )
@@ -52,7 +52,7 @@ FUSED = 'room.ply'
 def add_arguments(commands: Commands) -> None:
     """Add ``ocp calibrate``."""
     command = commands.add(
-        JUDGE, 'calibrate', 'find where cameras hang by what they see',
+        EVALUATE, 'calibrate', 'find where cameras hang by what they see',
         'ocp calibrate room.ply placement.yaml --clouds door.ply window.ply --out out/built')
     command.add_argument('room', metavar='ROOM', nargs='?', help='a scan, or the seed of a '
                          'generated room; without ROOM and PLACEMENT, cameras are registered to '

@@ -35,7 +35,7 @@ from ocp_ros.util.settings import ConfigurationError, UserError
 from ocp_ros.util.terminal_text import printable
 
 #: Groups of commands in ``ocp --help``, named by their purpose.
-PLAN, JUDGE, LOOK, LEARN, COMPARE, REPLAY = TITLES = (
+PLAN, EVALUATE, LOOK, LEARN, COMPARE, REPLAY = TITLES = (
     'find a placement', 'evaluate a placement', 'look at rooms and placements', 'train a policy',
     'compare planners', 'feed the nodes')
 #: Result of a command as plain data.

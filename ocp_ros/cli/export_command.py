@@ -26,7 +26,7 @@ from ocp_ros.cli.arguments import (
     read_names,
     room_asked,
 )
-from ocp_ros.cli.common import claim_folder, command_of, Commands, Found, JUDGE, show_written
+from ocp_ros.cli.common import claim_folder, command_of, Commands, EVALUATE, Found, show_written
 from ocp_ros.util.settings import ConfigurationError
 
 if TYPE_CHECKING:
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 def add_arguments(commands: Commands) -> None:
     """Add ``ocp export``."""
     command = commands.add(
-        JUDGE, 'export', 'write a placement for other programs',
+        EVALUATE, 'export', 'write a placement for other programs',
         'ocp export placement.yaml --to colmap,nerfstudio,usd --out out/export')
     add_placement(command)
     command.add_argument('--to', type=read_names, required=True, metavar='FORMATS',

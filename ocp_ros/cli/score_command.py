@@ -26,13 +26,13 @@ from ocp_ros.cli.arguments import (
     add_room,
     room_and_placement,
 )
-from ocp_ros.cli.common import claim_folder, command_of, Commands, Found, JUDGE, show_written
+from ocp_ros.cli.common import claim_folder, command_of, Commands, EVALUATE, Found, show_written
 from ocp_ros.util.settings import ConfigurationError, need
 
 
 def add_arguments(commands: Commands) -> None:
     """Add ``ocp score``."""
-    command = commands.add(JUDGE, 'score', 'evaluate a placement of cameras in a room',
+    command = commands.add(EVALUATE, 'score', 'evaluate a placement of cameras in a room',
                            'ocp score room.ply placement.yaml --rig rig.yaml --out out/hang-up')
     add_room(command)
     add_placement(command)

@@ -13,7 +13,7 @@
 # limitations under the License.
 
 """
-Online planners: they move cameras step by step, without a scan of the room.
+Online planners: they move cameras turn by turn, without a scan of the room.
 
 Their input is the observed cloud, as a :class:`~ocp_ros.online.partial_map.PartialMap`.
 """

@@ -302,7 +302,7 @@ def register_together(scan: ScanSurfaces, cameras: Mapping[str, tuple[LiveView, 
         for other in [other for camera, other in pairs if camera == k]:
             seen_by_others |= _explained(views[other].surfaces, views[k].patches,
                                          relative_pose(poses[k], poses[other]))[0]
-        answer = _judged(scan, views[k], poses[k], certainty, _residual(own), (), seen_by_others)
+        answer = _checked(scan, views[k], poses[k], certainty, _residual(own), (), seen_by_others)
         if answer.refused and not alone.refused:
             answer = _accepted_in_changed_room(answer) or answer
         if answer.refused and certainty.metres[0] > LIMITS.max_metres:
@@ -471,12 +471,12 @@ def _evaluated(scan: ScanSurfaces, view: LiveView, pose: Pose, model: CameraMode
     constraints = scan_constraints(0, surfaces, view.patches, pose, FINEST_STAGE.max_distances[1],
                                    FINEST_STAGE.kernel_widths[1])
     certainty, = certainties([constraints], [''], poses=[pose])
-    return _judged(scan, view, pose, certainty, _residual([constraints]),
-                   () if alternative is None else (alternative,))
+    return _checked(scan, view, pose, certainty, _residual([constraints]),
+                    () if alternative is None else (alternative,))
 
 
-def _judged(scan: ScanSurfaces, view: LiveView, pose: Pose, certainty: Certainty, residual: float,
-            others: tuple[Pose, ...], seen_by_others: np.ndarray | None = None) -> Registration:
+def _checked(scan: ScanSurfaces, view: LiveView, pose: Pose, certainty: Certainty, residual: float,
+             others: tuple[Pose, ...], seen_by_others: np.ndarray | None = None) -> Registration:
     """
     Measure how well a cloud and the scan agree at a pose, and accept or refuse the pose.
 

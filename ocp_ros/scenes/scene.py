@@ -142,7 +142,7 @@ class Scene:
     :ivar source: the frame of the file that the points were read from.
     :ivar notes: problems that reading the file found, one sentence each.
     :ivar remarks: corrections that reading the file made, one sentence each.
-    :ivar survey: the same room with the points that it was judged on, if they are others: an
+    :ivar survey: the same room with the points that it was measured on, if they are others: an
         answer about the scan does not depend on how far it is thinned.
     :ivar rooms: the rooms of a floor; None for one room.
     :ivar scans: of which the room was merged; empty if they are not known.
@@ -182,7 +182,7 @@ class Scene:
 
     @property
     def surveyed(self) -> 'Scene':
-        """Return the room with the points that it was judged on."""
+        """Return the room with the points that it was measured on."""
         return self if self.survey is None else self.survey
 
     @cached_property

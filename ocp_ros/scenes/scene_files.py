@@ -84,7 +84,7 @@ OTHER_SUFFIXES = {
     'unpack it first': '.7z .bz2 .gz .rar .tar .tgz .xz .zip .zst',
     'export the floor plan as .dxf, or measure the room': '.jpeg .jpg .pdf .png .tif .tiff'}
 
-#: The number of points on which a scan is judged, however many of them are asked for.
+#: The number of points on which a scan is measured, however many of them are asked for.
 SURVEY_POINTS = 60_000
 
 _log = logging.getLogger(__name__)
@@ -251,7 +251,7 @@ def _make_scene(rows: np.ndarray, name: str, scene_name: str, declared: Declared
         remarks += (f'{len(merged):,} of {len(points):,} points kept '
                     f'({"merged in voxels" if voxel_size else "--points"})',)
     scene = replace(scene, notes=tuple(notes), remarks=remarks)
-    # The scan is judged on a fixed number of points, so that no answer depends on ``max_points``.
+    # A scan is measured on a fixed number of points, so that no answer depends on ``max_points``.
     if len(points) <= SURVEY_POINTS if merged is points else (
             not voxel_size and max_points == SURVEY_POINTS):
         return _warn_of_notes(_room_in(scene, points, all_rooms), name)
@@ -264,7 +264,7 @@ def _room_in(scene: Scene, points: np.ndarray, all_rooms: bool) -> Scene:
     """
     Return the room in a scan: without isolated points, mirror images, outsides and other rooms.
 
-    :param scene: the scan, thinned to the points that it is judged on.
+    :param scene: the scan, thinned to the points that it is measured on.
     :param points: (N, 3) metres, all its points.
     :param all_rooms: whether other rooms are kept.
     """
@@ -295,10 +295,10 @@ def _room_in(scene: Scene, points: np.ndarray, all_rooms: bool) -> Scene:
 
 def _room_of_survey(scene: Scene, whole: Scene, survey: Scene) -> Scene:
     """
-    Return the part of a scan that was judged to be the room.
+    Return the part of a scan that was found to be the room.
 
     :param scene: the scan, thinned as asked for.
-    :param whole: the scan, thinned to the points that it was judged on.
+    :param whole: the scan, thinned to the points that it was measured on.
     :param survey: those of these points that are the room.
     """
     tree = cKDTree(whole.points)

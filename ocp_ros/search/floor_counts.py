@@ -90,7 +90,7 @@ class FloorCounts:
 
         :param most: largest number of cameras.
         :param max_price: largest price of all cameras.
-        :param lacking: returns the share (R,) that each room lacks in the opinion of a judge, by
+        :param lacking: returns the share (R,) that each room lacks by another measure, by
             which its target is raised; None if the cameras suffice.
         :param should_stop: returns whether to stop.
         """

@@ -196,7 +196,7 @@ class RigPlanner:
         errors = ValidatedErrors(validation.depth_error(views), validation.depth_error(proved),
                                  validation.simulator.depth_error.worst)
         shares = np.empty(0) if (goal := self.room_goal) is None else shares_of(
-            self._judge(objective).room_gains(views, goal.by), self._possible_gains(objective))
+            self._measure(objective).room_gains(views, goal.by), self._possible_gains(objective))
         return RigPlan(
             rig, answer, objective.evaluate_views(views)._replace(
                 connected=objective.connects(views)), objective.evaluate_views(union), errors,
@@ -205,12 +205,12 @@ class RigPlanner:
 
     def _possible_gains(self, objective: Objective) -> np.ndarray:
         """Return what the union bound gains in each room of a floor by the room goal: (R,)."""
-        judge = self._judge(objective)
-        union = self.pool.union_views(objective.rig, judge.simulator.evidence)
-        return judge.room_gains(union, self.room_goal.by)
+        measure = self._measure(objective)
+        union = self.pool.union_views(objective.rig, measure.simulator.evidence)
+        return measure.room_gains(union, self.room_goal.by)
 
-    def _judge(self, objective: Objective) -> Objective:
-        """Return what judges the rooms: for the depth error, the validation viewpoints."""
+    def _measure(self, objective: Objective) -> Objective:
+        """Return what measures the rooms: for the depth error, the validation viewpoints."""
         return objective.validation if self.room_goal.by == 'error' else objective
 
     def certified(self, plan: RigPlan, budget: Budget) -> RigPlan:
@@ -290,7 +290,7 @@ class RigPlanner:
 
         def lacking(placed: Sequence[Placed]) -> np.ndarray | None:
             views = [one.site.view for one in placed]
-            shares = shares_of(self._judge(objective).room_gains(views, by), possible)
+            shares = shares_of(self._measure(objective).room_gains(views, by), possible)
             if (shares >= target - VIEWPOINT_TOLERANCE).all() and objective.evaluate_views(
                     views).meets(rig):
                 return None
