@@ -43,6 +43,8 @@ from ocp_ros.rooms.room_sets import SETS
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.search.budget import Budget
 from ocp_ros.search.rig_plan import RigPlanner
+from ocp_ros.simulation.problem import Problem
+from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.util.files import write_atomically
 
 #: The table that the package reads.
@@ -99,29 +101,28 @@ def scanned(room: Scene, missing: str) -> Scene:
     return Scene(room.points[kept], room.name)
 
 
-def planned(scene: Scene, case: Case) -> dict:
+def promise_of(scene: Scene, rig: Rig, poses: list[list[float]]) -> dict[str, float]:
     """
-    Plan in a scan.
+    Return what the engine says of a plan in a scan, metres.
 
-    :returns: poses; metres: the error that is promised, that of seeing nothing, and that of seeing
-        nothing where the scan shows nothing.
+    :returns: the error that is promised, that of seeing nothing, and that of seeing nothing where
+        the scan shows nothing.
     """
-    rig, budget = rig_named(case.rig), Budget(evaluations=EVALUATIONS)
-    planner = RigPlanner(scene, rig, PROMISING, budget)
-    plan = planner.plan(rig)
-    return {'poses': plan.answer.poses.tolist(), 'promised': plan.validated.placement,
-            'worst': plan.validated.nothing,
-            'unscanned': planner.problem(rig).objective.validation.simulator.depth_error
-            .unscanned.error}
+    validation = Problem.of(scene, rig, SimulationConfig(engine=PROMISING)).objective.validation
+    error = validation.simulator.depth_error
+    return {'promised': validation.depth_error(validation.look(np.array(poses))),
+            'worst': error.worst, 'unscanned': error.unscanned.error}
 
 
 def row_of(seed: int, case: Case, known: dict | None) -> dict:
-    """Plan unless that is done, and judge."""
-    room = generate_room(seed, case.points)
-    found = known or planned(scanned(room, case.missing), case)
-    judge = Judge(generate_room(seed, DENSE), rig_named(case.rig))
-    return {'room': seed, **case._asdict(), **found,
-            'delivered': judge.delivered(np.array(found['poses']))}
+    """Plan and judge unless that is done, and promise."""
+    rig, scene = rig_named(case.rig), scanned(generate_room(seed, case.points), case.missing)
+    if known is None:
+        planner = RigPlanner(scene, rig, PROMISING, Budget(evaluations=EVALUATIONS))
+        poses = planner.plan(rig).answer.poses
+        known = {'poses': poses.tolist(), 'commit': results.commit(),
+                 'delivered': Judge(generate_room(seed, DENSE), rig).delivered(poses)}
+    return {'room': seed, **case._asdict(), **known, **promise_of(scene, rig, known['poses'])}
 
 
 def ratios_of(rows: list[dict], share: float) -> np.ndarray:
@@ -191,7 +192,7 @@ def main(argv: list[str] | None = None) -> None:
     parser.add_argument('--rooms', type=int, default=18, help='how many validation rooms')
     parser.add_argument('--workers', type=int, default=2, help='processes')
     parser.add_argument('--out', type=Path, default=Path('out/promise.jsonl'),
-                        help='rows that were found, with which it goes on')
+                        help='rows that were found: their plans are not made again')
     parser.add_argument('--sparse', action='store_true',
                         help='measure sparse scans alone, whose ratios join the table')
     parser.add_argument('--record', action='store_true', help=f'write {TABLE.name}')
@@ -203,17 +204,18 @@ def main(argv: list[str] | None = None) -> None:
     left = [(seed, case, known.get((seed, *case))) for seed, case in tasks(
         list(SETS['validation'])[:2 * options.rooms:2],
         SPARSE_CASES if options.sparse else CASES)]
-    rows = [row for _, _, row in left if row and 'delivered' in row]
-    left = [task for task in left if task[2] is None or 'delivered' not in task[2]]
+    rows = []
     with ProcessPoolExecutor(options.workers) as pool, options.out.open('a') as file:
-        for row in pool.map(row_of, *zip(*left)) if left else ():
+        for row in pool.map(row_of, *zip(*left)):
             rows.append(row)
             print(json.dumps(row), file=file, flush=True)
     before = json.loads(TABLE.read_text())
     found = missed_of(rows, before['unscanned']) if options.sparse else table_of(rows)
     print(json.dumps(found, indent=1))
     if options.record:
-        found = results.stamped(found, results.command_of('promise', argv))
+        found = results.stamped({
+            'commits_of_plans': sorted({row['commit'] for row in rows}), **found},
+            results.command_of('promise', argv))
         write_atomically(TABLE, json.dumps(
             before | {'sparse': found} if options.sparse else found | {
                 'sparse': before['sparse']}, indent=1) + '\n')

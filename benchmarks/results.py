@@ -37,11 +37,15 @@ def command_of(module: str, argv: Sequence[str] | None) -> str:
     return shlex.join(['python', '-m', f'benchmarks.{module}', *arguments])
 
 
+def commit() -> str:
+    """Return the commit of these sources, short."""
+    return subprocess.run(['git', 'rev-parse', '--short', 'HEAD'], cwd=ROOT, text=True,
+                          capture_output=True).stdout.strip() or 'unknown'
+
+
 def stamped(figures: Mapping[str, Any], command: str) -> dict[str, Any]:
     """Return figures behind the command that measured them, the commit and the date."""
-    commit = subprocess.run(['git', 'rev-parse', '--short', 'HEAD'], cwd=ROOT, text=True,
-                            capture_output=True).stdout.strip()
-    return {'command': command, 'commit': commit or 'unknown', 'date': date.today().isoformat(),
+    return {'command': command, 'commit': commit(), 'date': date.today().isoformat(),
             **figures}
 
 

@@ -18,8 +18,10 @@ What a scan proves: the scanned side of each surface, and the space that the sca
 Points block views and are visible from both sides, and nothing blocks a view where a back was not
 scanned. So a camera behind a cabinet seems to see the inside of its front, and what is beyond. A
 view counts as proved if it meets each surface from a scanned side, stays in space that rays of the
-scanner have crossed, and passes the edges of surfaces on a finer map. A search uses all views, and
-what a placement promises the proved ones.
+scanner have crossed, and passes the edges of surfaces on a finer map. Where the stations of the
+scanner are not known, nothing is proved from a place around which much was not scanned, such as an
+aisle that it did not look into. A search uses all views, and what a placement promises the proved
+ones.
 """
 
 from collections.abc import Callable
@@ -28,6 +30,7 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 from ocp_ros.geometry.cameras import CameraModel, LEVEL, Pose
+from ocp_ros.geometry.depth_error import DepthError
 from ocp_ros.geometry.free_space import cross_cells, proved_bits
 from ocp_ros.geometry.packed_bits import no_bits, unpack
 from ocp_ros.geometry.visibility import FINE, SurfelVisibility
@@ -51,6 +54,9 @@ MIN_ADDED_SHARE, MAX_UNSEEN_SHARE = 0.005, 0.05
 OTHER_SIDE_M = 0.015
 #: Metres: the distance behind a surface at which there is air, or something that it stands at.
 BEHIND_M = 0.3
+#: By how much more of the directions from a camera may be without a scanned point than from a
+#: station in the middle of all, and the rows of the maps for this.
+MAX_UNSCANNED, UNSCANNED_ROWS = 0.15, 64
 #: The rules of the finer maps.
 FINER = FINE._replace(rows=320)
 
@@ -63,6 +69,7 @@ class ScanEvidence:
     :ivar scene: the scan.
     :ivar visibility: that of the engine for the scene, by the rules of the finer maps.
     :ivar stations: (T, 3) metres, where the scanner stood, or may have stood.
+    :ivar are_known: whether the file tells the stations, and which points each of them has.
     :ivar points: (N, 3) float32, metres.
     :ivar normals: (N, 3) float32 unit vectors.
     :ivar sides: (N,) int8, 1 or -1 for the side of the normal or the other one if the surface was
@@ -74,6 +81,7 @@ class ScanEvidence:
     scene: Scene
     visibility: SurfelVisibility
     stations: np.ndarray
+    are_known: bool
     points: np.ndarray
     normals: np.ndarray
     sides: np.ndarray
@@ -92,7 +100,8 @@ class ScanEvidence:
         """
         if not isinstance(visibility, SurfelVisibility):
             return None
-        stations, seen = _stations_of(scene, visibility)
+        known = _known_stations(scene, visibility)
+        stations, seen = known or _likely_stations(scene, visibility)
         order = visibility.order
         points, normals = scene.points[order], scene.normals_or_estimate[order]
         low = scene.bounds[0] - CELL_M
@@ -100,7 +109,7 @@ class ScanEvidence:
                              len(stations) == 0)
         for station, own in zip(stations, seen):
             cross_cells(station, points[own].astype(np.float64), low, CELL_M, is_crossed)
-        return cls(scene, visibility.by(FINER), stations, points, normals,
+        return cls(scene, visibility.by(FINER), stations, known is not None, points, normals,
                    _sides_seen(points, normals, stations, seen), low, is_crossed)
 
     def proved(self, seen: np.ndarray, position: np.ndarray | None, finer: bool = True
@@ -116,7 +125,7 @@ class ScanEvidence:
         if position is None:
             return seen
         if finer:
-            seen = seen & self._seen_finer(np.asarray(position, dtype=np.float64).tobytes())
+            seen = seen & self._seen_well(np.asarray(position, dtype=np.float64).tobytes())
         return proved_bits(seen, np.asarray(position, dtype=np.float64), self.points,
                            self.normals, self.sides, self.low, CELL_M, self.is_crossed,
                            MAX_UNKNOWN_M)
@@ -169,14 +178,25 @@ class ScanEvidence:
         return float(hidden / (areas.sum() + hidden))
 
     @cached_property
-    def _seen_finer(self) -> Callable[[bytes], np.ndarray]:
+    def _seen_well(self) -> Callable[[bytes], np.ndarray]:
         """Return what finds the points that are visible from a position on a finer map."""
-        def seen_finer(position: bytes) -> np.ndarray:
-            seen = no_bits(len(self.points))
-            self.visibility.look(Pose(np.frombuffer(position), LEVEL),
-                                 CameraModel(0.0, self.scene.diameter).lens, seen)
+        # Known stations prove more about a view than what is around it.
+        usual = 1.0 if self.are_known or not len(self.stations) else np.median(
+            self._unscanned(self.stations))
+
+        def seen_well(position: bytes) -> np.ndarray:
+            seen, place = no_bits(len(self.points)), np.frombuffer(position)
+            if usual == 1.0 or self._unscanned(place[None])[0] <= usual + MAX_UNSCANNED:
+                self.visibility.look(Pose(place, LEVEL),
+                                     CameraModel(0.0, self.scene.diameter).lens, seen)
             return seen
-        return lru_cache(maxsize=256)(seen_finer)
+        return lru_cache(maxsize=256)(seen_well)
+
+    def _unscanned(self, places: np.ndarray) -> np.ndarray:
+        """Return the share of directions without a scanned point from places (T, 3): (T,)."""
+        spacing = self.scene.spacing[self.visibility.order]
+        return DepthError(self.points, spacing, self.scene.diameter, places,
+                          UNSCANNED_ROWS).unscanned.shares
 
 
 def only_sides(scene: Scene, visibility: SurfelVisibility) -> np.ndarray:
@@ -233,16 +253,14 @@ def _known_stations(scene: Scene, visibility: SurfelVisibility
     return stations, _scanned_by(scene)[:, visibility.order]
 
 
-def _stations_of(scene: Scene, visibility: SurfelVisibility) -> tuple[np.ndarray, np.ndarray]:
+def _likely_stations(scene: Scene, visibility: SurfelVisibility
+                     ) -> tuple[np.ndarray, np.ndarray]:
     """
-    Return the stations of a scan, (T, 3) metres, and which points each of them sees: (T, N) bool.
+    Return likely stations of a scan, (T, 3) metres, and which points each sees: (T, N) bool.
 
-    If the file does not tell them, they are chosen one after the other, each of a grid of places
-    that sees most of the points that the others do not see.
+    They are chosen one after the other, each of a grid of places that sees most of the points that
+    the others do not see; none if the places explain too few of the points.
     """
-    known = _known_stations(scene, visibility)
-    if known is not None:
-        return known
     places, none = _places_of(scene), (np.empty((0, 3)), np.empty((0, len(scene)), dtype=bool))
     if len(places) == 0:
         return none

@@ -144,6 +144,18 @@ def test_stations_are_found_if_the_file_does_not_say_them(scene):
     assert 0.3 < evidence.is_crossed.mean() < 0.95
 
 
+def test_a_view_from_an_aisle_that_was_not_scanned_proves_nothing():
+    # A shelf of the height of the room but for a slit; behind it nothing was scanned.
+    points = box_sides((6.0, 4.0, 2.8), (3.0, 2.0, 1.4), 0.06)
+    shelf = box_sides((0.02, 4.0, 2.4), (4.8, 2.0, 1.2), 0.06)
+    points = np.concatenate([points[points[:, 0] < 4.8], shelf[shelf[:, 0] < 4.8]])
+    scene = Scene(points.astype(np.float32), 'aisle')
+    objective = Problem.of(scene, rig_of(1, 'omnidirectional')).objective
+    in_aisle, before = (objective.validation.evaluate_views(objective.look(
+        np.array([[x, 2.0, 2.6, np.pi, 0.0, 0.0]]))).seen.mask.mean() for x in (5.4, 3.0))
+    assert in_aisle == 0.0 and before > 0.8
+
+
 def test_scans_tell_the_two_sides_of_a_thin_board():
     low, high = np.array([2.985, 1.0, 0.0]), np.array([3.015, 4.0, 2.8])
     rng = np.random.default_rng(0)
