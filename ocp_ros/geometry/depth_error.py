@@ -30,7 +30,7 @@ from typing import NamedTuple
 import numpy as np
 from ocp_ros.geometry.cameras import CameraModel, LEVEL, Pose
 from ocp_ros.geometry.packed_bits import no_bits
-from ocp_ros.geometry.shadow_maps import footprints, projected
+from ocp_ros.geometry.shadow_maps import footprints, projected, splat
 from ocp_ros.util.kernels import njit
 from ocp_ros.util.threads import mapped
 from scipy import ndimage
@@ -256,6 +256,37 @@ class Unscanned(NamedTuple):
     error: float
 
 
+def unscanned_share(points: np.ndarray, spacing: np.ndarray, position: np.ndarray, far: float,
+                    rows: int) -> float:
+    """
+    Return the share of :class:`Unscanned` from one position, without its error.
+
+    :param points: (N, 3) float32, metres; their ``spacing`` (N,), metres.
+    :param position: (3,) metres.
+    :param far: metres, the diameter of the room.
+    :param rows: rows of the map.
+    """
+    lens = CameraModel(max_range=far).lens
+    projection = projected(np.ascontiguousarray(points.T), Pose(position, LEVEL), lens)
+    inverse_map = splat(projection, footprints(projection, _half_sides(spacing), rows, 2 * rows),
+                        far, rows, 2 * rows)
+    return float(_without_gaps(inverse_map <= np.float32(1.0 / far)).mean())
+
+
+def _half_sides(spacing: np.ndarray) -> np.ndarray:
+    """Return half the side of each point's cube, metres: (N,) float32."""
+    # Half the side of the paper's cube is the spacing of the points. Smaller cubes leave holes in
+    # the maps of a whole room.
+    return np.minimum(spacing, MAX_HALF_SIDE * np.median(spacing)).astype(np.float32)
+
+
+def _without_gaps(empty: np.ndarray) -> np.ndarray:
+    """Return which pixels (H, W) of a map are empty, without gaps of less than three pixels."""
+    # Columns go around, rows end at the poles.
+    around = {'size': 3, 'mode': ('nearest', 'wrap')}
+    return ndimage.maximum_filter(ndimage.minimum_filter(empty, **around), **around)
+
+
 def _unscanned(depth_map: np.ndarray, position: np.ndarray, bounds: np.ndarray, far: float
                ) -> tuple[float, float]:
     """
@@ -264,9 +295,7 @@ def _unscanned(depth_map: np.ndarray, position: np.ndarray, bounds: np.ndarray, 
     :param depth_map: (H, W) metres; an empty pixel reads ``far``.
     :param bounds: (2, 3) metres, the bounding box of all points.
     """
-    # Columns go around, rows end at the poles.
-    around = {'size': 3, 'mode': ('nearest', 'wrap')}
-    empty = ndimage.maximum_filter(ndimage.minimum_filter(depth_map >= far, **around), **around)
+    empty = _without_gaps(depth_map >= far)
     elevation, azimuth = (angles[index] for angles, index in zip(
         pixel_angles(*depth_map.shape), np.nonzero(empty)))
     directions = np.column_stack([np.cos(elevation) * np.cos(azimuth),
@@ -306,9 +335,7 @@ class DepthError:
         self.shape = (rows, 2 * rows)
         # The paper sums over five viewpoints. With folds, this number is scaled below.
         self.pixels = rows * 2 * rows * len(viewpoints) / 5
-        # Half the side of the paper's cube is the spacing of the points. Smaller cubes leave holes
-        # in the maps of a whole room.
-        half_sides = np.minimum(spacing, MAX_HALF_SIDE * np.median(spacing)).astype(np.float32)
+        half_sides = _half_sides(spacing)
         # Folds are assigned in the order of distance from the first viewpoint, which does not
         # change when the scan is rotated.
         order = np.argsort(np.linalg.norm(points - viewpoints[0], axis=1), kind='stable')

@@ -30,7 +30,7 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 from ocp_ros.geometry.cameras import CameraModel, LEVEL, Pose
-from ocp_ros.geometry.depth_error import DepthError
+from ocp_ros.geometry.depth_error import unscanned_share
 from ocp_ros.geometry.free_space import cross_cells, proved_bits
 from ocp_ros.geometry.packed_bits import no_bits, unpack
 from ocp_ros.geometry.visibility import FINE, SurfelVisibility
@@ -182,21 +182,20 @@ class ScanEvidence:
         """Return what finds the points that are visible from a position on a finer map."""
         # Known stations prove more about a view than what is around it.
         usual = 1.0 if self.are_known or not len(self.stations) else np.median(
-            self._unscanned(self.stations))
+            [self._unscanned(station) for station in self.stations])
 
         def seen_well(position: bytes) -> np.ndarray:
             seen, place = no_bits(len(self.points)), np.frombuffer(position)
-            if usual == 1.0 or self._unscanned(place[None])[0] <= usual + MAX_UNSCANNED:
+            if usual == 1.0 or self._unscanned(place) <= usual + MAX_UNSCANNED:
                 self.visibility.look(Pose(place, LEVEL),
                                      CameraModel(0.0, self.scene.diameter).lens, seen)
             return seen
         return lru_cache(maxsize=256)(seen_well)
 
-    def _unscanned(self, places: np.ndarray) -> np.ndarray:
-        """Return the share of directions without a scanned point from places (T, 3): (T,)."""
-        spacing = self.scene.spacing[self.visibility.order]
-        return DepthError(self.points, spacing, self.scene.diameter, places,
-                          UNSCANNED_ROWS).unscanned.shares
+    def _unscanned(self, place: np.ndarray) -> float:
+        """Return the share of directions without a scanned point from a place (3,)."""
+        return unscanned_share(self.points, self.scene.spacing[self.visibility.order], place,
+                               self.scene.diameter, UNSCANNED_ROWS)
 
 
 def only_sides(scene: Scene, visibility: SurfelVisibility) -> np.ndarray:
