@@ -56,7 +56,7 @@ OTHER_SIDE_M = 0.015
 BEHIND_M = 0.3
 #: By how much more of the directions from a camera may be without a scanned point than from a
 #: station in the middle of all, and the rows of the maps for this.
-MAX_UNSCANNED, UNSCANNED_ROWS = 0.15, 64
+MAX_UNSCANNED, UNSCANNED_ROWS = 0.2, 64
 #: The rules of the finer maps.
 FINER = FINE._replace(rows=320)
 
