@@ -33,7 +33,6 @@ from ocp_ros.geometry.packed_bits import no_bits
 from ocp_ros.geometry.shadow_maps import footprints, projected, splat
 from ocp_ros.util.kernels import njit
 from ocp_ros.util.threads import mapped
-from scipy import ndimage
 
 #: The largest half side of a point's cube, in multiples of the median spacing of all points: a
 #: stray point must not cover as much as a wall.
@@ -282,9 +281,11 @@ def _half_sides(spacing: np.ndarray) -> np.ndarray:
 
 def _without_gaps(empty: np.ndarray) -> np.ndarray:
     """Return which pixels (H, W) of a map are empty, without gaps of less than three pixels."""
-    # Columns go around, rows end at the poles.
-    around = {'size': 3, 'mode': ('nearest', 'wrap')}
-    return ndimage.maximum_filter(ndimage.minimum_filter(empty, **around), **around)
+    for reduce in (np.all, np.any):
+        # Columns go around, rows end at the poles.
+        padded = np.pad(np.pad(empty, ((1, 1), (0, 0)), 'edge'), ((0, 0), (1, 1)), 'wrap')
+        empty = reduce(np.lib.stride_tricks.sliding_window_view(padded, (3, 3)), axis=(2, 3))
+    return empty
 
 
 def _unscanned(depth_map: np.ndarray, position: np.ndarray, bounds: np.ndarray, far: float
