@@ -43,7 +43,7 @@ from ocp_ros.ros.interface.conversions import (
 )
 from ocp_ros.ros.interface.frames import find_frame_prefix
 from ocp_ros.ros.interface.qos import LATCHED
-from ocp_ros.ros.interface.views import CloudView, observed_maps, RigView
+from ocp_ros.ros.interface.views import CloudView, observed_maps, PointMaps, RigView
 from ocp_ros.ros.policy.convergence import Convergence
 from ocp_ros.ros.policy.decider import Decider
 from ocp_ros.ros.policy.live_turns import LiveTurns
@@ -54,7 +54,6 @@ from ocp_ros.ros.runtime.managed_node import ManagedNode, publish_diagnostics, S
 from ocp_ros.ros.runtime.node_main import run
 from ocp_ros.scenes.scene import SceneError
 from ocp_ros.search.plan import load_kernels
-from ocp_ros.simulation.point_maps import PointMaps
 from ocp_ros.util.resources import find_model
 from ocp_ros.util.threads import set_threads
 from std_msgs.msg import UInt8MultiArray

@@ -43,7 +43,7 @@ from ocp_ros.ros.interface.conversions import (
 )
 from ocp_ros.ros.interface.frames import CameraFrames, find_frame_prefix, frame_prefix, publish_tf
 from ocp_ros.ros.interface.qos import LATCHED, LOOP
-from ocp_ros.ros.interface.views import CloudView, RigView
+from ocp_ros.ros.interface.views import CloudView, maps_of, RigView
 from ocp_ros.ros.runtime.managed_node import (
     autostart,
     create_steady_timer,
@@ -56,7 +56,6 @@ from ocp_ros.ros.runtime.managed_node import (
 from ocp_ros.ros.runtime.node_main import run
 from ocp_ros.scenes.scene import SceneError
 from ocp_ros.simulation.episode import Episode
-from ocp_ros.simulation.point_maps import maps_of
 from ocp_ros.simulation.problem import make_problem
 from ocp_ros.simulation.simulation_config import limits_by_rig, SimulationConfig
 from ocp_ros.util.settings import group, MAX_SEED, setting

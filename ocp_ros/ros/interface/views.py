@@ -20,12 +20,13 @@ They are computed only while they have subscribers, and after the turn: no answe
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 from geometry_msgs.msg import Point, Vector3
 import numpy as np
 from ocp_ros.geometry.cameras import CameraModel, PINHOLE, Pose
 from ocp_ros.geometry.engine_config import EngineConfig
+from ocp_ros.geometry.packed_bits import unpack
 from ocp_ros.online.partial_map import thinned
 from ocp_ros.rig.rig_config import RigConfig
 from ocp_ros.ros.interface import topics
@@ -33,7 +34,6 @@ from ocp_ros.ros.interface.conversions import value_cloud
 from ocp_ros.ros.interface.qos import LATCHED
 from ocp_ros.ros.runtime.managed_node import create_steady_timer
 from ocp_ros.scenes.scene import Scene
-from ocp_ros.simulation.point_maps import maps_of, PointMaps
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
 from rclpy.event_handler import PublisherEventCallbacks, QoSPublisherMatchedInfo
@@ -111,6 +111,39 @@ class RigView:
             return None
         return camera_info(model, Header(stamp=self._header.stamp,
                                          frame_id=f'{self._frame_prefix}camera_{camera}_optical'))
+
+
+class PointMaps(NamedTuple):
+    """
+    The number of cameras and the error at each point.
+
+    :ivar points: (N, 3) float32, metres, map frame: the N points of the scene.
+    :ivar count: (N,) int64, the number of cameras that see each point.
+    :ivar error: (N,) float64, metres, the contribution of each point to the depth error; the sum
+        is the depth error.
+    """
+
+    points: np.ndarray
+    count: np.ndarray
+    error: np.ndarray
+
+
+def maps_of(simulator: Simulator, poses: Sequence[Pose]) -> PointMaps:
+    """
+    Compute the maps of a placement.
+
+    :param simulator: the engine for the room; its model k belongs to camera k, or its only model
+        to all cameras.
+    :param poses: the poses of K cameras, K >= 1.
+    """
+    views = [simulator.look(pose, camera) for camera, pose in enumerate(poses)]
+    order = simulator.visibility.order
+    count, error = np.empty(len(order), dtype=np.int64), np.empty(len(order))
+    # Views are in the engine's order; the maps are in the order of the scene.
+    count[order] = np.sum([unpack(view.seen, len(order)) for view in views], axis=0)
+    error[order] = simulator.depth_error.error_by_point(
+        np.bitwise_or.reduce([view.seen for view in views]))
+    return PointMaps(simulator.scene.points, count, error)
 
 
 class CloudView:
