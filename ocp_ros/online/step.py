@@ -13,7 +13,7 @@
 # limitations under the License.
 
 """
-One turn of an online planner: observe, plan, apply constraints, choose headings.
+One turn of an online planner: observe, plan, apply constraints, choose headings; and its gain.
 
 ``policy_node``, ``ocp plan`` with an online planner and the benchmark all use this step. The last
 two play simulated episodes: they repeat the step.
@@ -23,11 +23,14 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 import time
+from typing import NamedTuple
 
 import numpy as np
+from ocp_ros.geometry.visibility import FINE
 from ocp_ros.online.constraint_filter import StepConstraints
 from ocp_ros.online.heading_planner import HeadingPlanner, never_interrupted
 from ocp_ros.online.online_planner import Online, PlannedTurn
+from ocp_ros.online.partial_map import PartialMap
 from ocp_ros.online.rig_state import Command, RigState
 from ocp_ros.rig.motion import turned_towards
 from ocp_ros.rig.rig_file import Rig
@@ -234,3 +237,48 @@ def play(online: Online, episode: Episode, should_stop: Callable[[int], bool] = 
         turn_states.append(episode.move(moves, command.placement[:state.movable, 3:]))
     return Outcome(np.array([turn.positions for turn in turn_states]),
                    np.array([turn.depth_error for turn in turn_states]), np.array(seconds))
+
+
+class ExpectedGain(NamedTuple):
+    """
+    The depth error of the observed cloud before and after moves; unseen space is not included.
+
+    :ivar before: metres, with the cameras at their current poses.
+    :ivar after: metres, with the cameras at their targets.
+    """
+
+    before: float
+    after: float
+
+    @classmethod
+    def of(cls, cloud: np.ndarray, state: RigState, placement: np.ndarray, max_range: float
+           ) -> 'ExpectedGain':
+        """
+        Compute both errors on the observed cloud.
+
+        :param cloud: (M, 3) float32, metres, map frame: the observed cloud.
+        :param state: current state of the cameras.
+        :param placement: (K + F, 6) metres and radians: the K movable and F fixed cameras after
+            the moves.
+        :param max_range: effective range of the omnidirectional cameras, metres.
+        :raises SceneError: if the points are too few or too flat to be a room.
+        """
+        # An operator waits for the result, so the model has few points, and the depth maps of the
+        # error have few rows. The maps of visibility are other maps, with the size in ``FINE``.
+        model = PartialMap(cloud, state.placement[:, :3], max_range, max_points=12000, rows=64,
+                           settings=FINE)
+
+        def error(poses: np.ndarray) -> float:
+            return model.error([model.look(pose, lens)
+                                for pose, lens in zip(poses, state.lenses, strict=True)])
+
+        return cls(error(state.placement), error(placement))
+
+    def __str__(self) -> str:
+        """Return the comparison as a sentence."""
+        if not self.after < self.before:
+            return ('expected: no gain in the part of the room that has been seen so far; these '
+                    'moves look at the rest')
+        share = 1.0 - self.after / self.before
+        return (f'expected: {100.0 * share:.0f} % of what is missing in the part of the room that '
+                'has been seen so far is gone')

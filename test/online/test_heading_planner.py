@@ -23,10 +23,10 @@ import numpy as np
 from ocp_ros.geometry.cameras import angle_between, CameraModel, heading_of, rotation_matrix
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.geometry.packed_bits import count_bits
-from ocp_ros.online.expected_gain import ExpectedGain
 from ocp_ros.online.heading_planner import HeadingPlanner
 from ocp_ros.online.partial_map import PartialMap
 from ocp_ros.online.rig_state import directions, RigState
+from ocp_ros.online.step import ExpectedGain
 from ocp_ros.rig.motion import turned_towards, way_between
 from ocp_ros.rig.rig_config import RigConfig
 from ocp_ros.rig.sensors import SENSORS

@@ -29,12 +29,11 @@ from geometry_msgs.msg import PoseArray
 import numpy as np
 from ocp_ros.geometry.cameras import CameraModel, heading_of, Pose
 from ocp_ros.geometry.clouds import corners_of, voxel_downsample
-from ocp_ros.online.expected_gain import ExpectedGain
 from ocp_ros.online.heading_planner import never_interrupted
 from ocp_ros.online.lookahead import Lookahead
 from ocp_ros.online.online_planner import Online
 from ocp_ros.online.rig_state import RigState
-from ocp_ros.online.step import OnlineStep
+from ocp_ros.online.step import ExpectedGain, OnlineStep
 from ocp_ros.policy.learned import Learned, PolicyAlone
 from ocp_ros.rig.placement_file import as_written, Placed, Placement, placement_of
 from ocp_ros.rig.rig_file import Camera, load_rig, Rig, rig_of
