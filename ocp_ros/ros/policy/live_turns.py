@@ -28,7 +28,7 @@ from geometry_msgs.msg import Pose as PoseMsg
 from geometry_msgs.msg import PoseArray
 import numpy as np
 from ocp_ros.geometry.cameras import angle_between, heading_of, Pose
-from ocp_ros.online.cloud_fusion import FusedCloud
+from ocp_ros.geometry.clouds import FusedCloud
 from ocp_ros.ros.interface import topics
 from ocp_ros.ros.interface.conversions import (
     cloud_to_msg,

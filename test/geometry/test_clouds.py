@@ -18,7 +18,7 @@ from hypothesis import given
 from hypothesis import settings as budget
 from hypothesis import strategies as st
 import numpy as np
-from ocp_ros.online.cloud_fusion import FusedCloud, MIN_POINTS
+from ocp_ros.geometry.clouds import FusedCloud, MIN_POINTS
 import pytest
 
 
