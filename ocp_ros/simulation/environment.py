@@ -127,7 +127,7 @@ class CameraPlacementEnv(gym.Env):
     ==================== ====== ==========================================================
 
     **Reward**
-    See :mod:`ocp_ros.simulation.reward`; all terms are in ``info``.
+    See :func:`~ocp_ros.simulation.episode.reward`; all terms are in ``info``.
 
     **Start**
     A scene drawn from ``scenes``, rotated by an angle drawn from ``rotations``, with a drawn

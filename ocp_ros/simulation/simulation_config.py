@@ -67,7 +67,7 @@ class EpisodeConfig(EpisodeLimits):
 
 @dataclass(frozen=True)
 class RewardConfig:
-    """Reward of a turn; see :mod:`ocp_ros.simulation.reward` for the formulas."""
+    """Reward of a turn; see :func:`~ocp_ros.simulation.episode.reward` for the formulas."""
 
     kind: str = setting('potential', 'reward: potential or paper', choices=('potential', 'paper'),
                         running=True)

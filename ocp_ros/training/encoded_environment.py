@@ -38,8 +38,7 @@ from ocp_ros.policy.cloud_encoder import (
 )
 from ocp_ros.rig.motion import bounded_moves, order_of, way_between
 from ocp_ros.simulation.environment import CameraPlacementEnv
-from ocp_ros.simulation.episode import Episode
-from ocp_ros.simulation.reward import RewardTerms, Value
+from ocp_ros.simulation.episode import Episode, RewardTerms, Value
 from ocp_ros.simulation.simulation_config import EpisodeConfig
 from ocp_ros.simulation.simulator import View
 from ocp_ros.training.training_config import EpisodesConfig

@@ -29,10 +29,9 @@ from ocp_ros.rig.rig_config import RigConfig
 from ocp_ros.rig.rig_file import rig_of
 from ocp_ros.scenes.scene import Scene, SceneError
 from ocp_ros.simulation.environment import CameraPlacementEnv
-from ocp_ros.simulation.episode import Episode
+from ocp_ros.simulation.episode import Episode, potential, reward, Value
 from ocp_ros.simulation.objective import MUST_SEE_COST, Objective
 from ocp_ros.simulation.problem import PlaneProblem, Problem
-from ocp_ros.simulation.reward import potential, reward, Value
 from ocp_ros.simulation.simulation_config import EpisodeConfig, RewardConfig, SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
 from ocp_ros.util.settings import ConfigurationError
@@ -276,7 +275,7 @@ def test_threads_change_nothing(room, preset):
 
 
 def test_the_papers_reward_is_its_formula(monkeypatch):
-    monkeypatch.setattr('ocp_ros.simulation.reward.PENALTY', -2.0)
+    monkeypatch.setattr('ocp_ros.simulation.episode.PENALTY', -2.0)
     config = RewardConfig(kind='paper', coverage=0.02, depth_error=1.0)
     inside, outside = (reward(Value(10.0, 5.0, 0.1), Value(25.0, 4.5, 0.3), left, 100.0, 50.0,
                               config) for left in (False, True))

@@ -24,9 +24,8 @@ from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.policy.agent_config import AgentConfig
 from ocp_ros.scenes.scene_files import save_scene
 from ocp_ros.simulation.environment import CameraPlacementEnv
-from ocp_ros.simulation.episode import Episode
+from ocp_ros.simulation.episode import Episode, PENALTY, potential
 from ocp_ros.simulation.problem import make_problem
-from ocp_ros.simulation.reward import PENALTY, potential
 from ocp_ros.simulation.simulation_config import EpisodeConfig, SimulationConfig
 from ocp_ros.training.encoded_environment import playable
 from ocp_ros.training.train import train
