@@ -40,11 +40,10 @@ from typing import NamedTuple
 import numpy as np
 from ocp_ros.geometry.visibility import FINE
 from ocp_ros.online.candidate_sites import Candidates, max_positions
-from ocp_ros.online.episode_places import EpisodePlaces
+from ocp_ros.online.episode_places import EpisodePlaces, scouted
 from ocp_ros.online.online_planner import matched, MIN_PIPELINED_TURNS, PipelinedPlanner
 from ocp_ros.online.partial_map import cell_weight, KeptModel, PartialMap, View
 from ocp_ros.online.rig_state import AIR_RADIUS_M, clearance_of, fixed_views, RigState, view_from
-from ocp_ros.online.scouting import scouted
 from ocp_ros.rig.free_plane import FreePlane
 from ocp_ros.scenes.scene import SceneError
 from ocp_ros.util.annealing import annealed, between
@@ -191,7 +190,7 @@ class Lookahead(PipelinedPlanner):
         """
         Return goals (K, 2) in which cameras scout; in long episodes and at their end the same.
 
-        See :mod:`~ocp_ros.online.scouting`.
+        See :func:`~ocp_ros.online.episode_places.scouted`.
         """
         left = TUNING.refining_share * turns - turn
         if left <= 0.0 or turns >= MIN_PIPELINED_TURNS or not len(cloud):

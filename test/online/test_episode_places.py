@@ -17,9 +17,9 @@
 from conftest import box_room
 import numpy as np
 from ocp_ros.geometry.packed_bits import count_bits
+from ocp_ros.online.episode_places import scouted
 from ocp_ros.online.lookahead import Lookahead
 from ocp_ros.online.partial_map import LookHistory, PartialMap
-from ocp_ros.online.scouting import scouted
 from ocp_ros.online.step import play
 from ocp_ros.rig.free_plane import FreePlane
 from ocp_ros.rig.rig_file import rig_of
