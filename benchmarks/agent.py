@@ -22,7 +22,7 @@ What the agent is worth: as explorer before the common search, alone, and agains
 Online planners play the same episodes: ``learned`` (the agent explores, the search finishes),
 ``lookahead`` (its own plans explore), ``random`` (random moves explore, the search finishes) and
 ``alone`` (the agent moves until the end). Final placements are judged as in the benchmark, see
-:mod:`ocp_ros.compare.judging`. An interrupted comparison goes on from its file.
+:mod:`ocp_ros.compare.protocol`. An interrupted comparison goes on from its file.
 """
 
 import argparse
@@ -37,8 +37,7 @@ from typing import Any, NamedTuple
 
 from benchmarks import results
 import numpy as np
-from ocp_ros.compare.judging import JUDGE_POINTS, judged_room, SEARCH_POINTS
-from ocp_ros.compare.protocol import PLANE_RIG
+from ocp_ros.compare.protocol import JUDGE_POINTS, judged_room, PLANE_RIG, SEARCH_POINTS
 from ocp_ros.compare.summary import LOG_OFFSET_M
 from ocp_ros.geometry.engine_config import PROMISING
 from ocp_ros.online.lookahead import Lookahead

@@ -29,8 +29,7 @@ from benchmarks import results
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 import numpy as np
-from ocp_ros.compare.judging import MOUNTING_ERRORS
-from ocp_ros.compare.protocol import RANDOM_PLACEMENTS
+from ocp_ros.compare.protocol import MOUNTING_ERRORS, RANDOM_PLACEMENTS
 from ocp_ros.compare.summary import budgets_of, last_runs
 from ocp_ros.report.drawing.room_drawing import INK, PALE_INK
 from ocp_ros.report.drawing.saved_pictures import save_figure

@@ -36,7 +36,7 @@ from benchmarks import results
 from benchmarks.drills.drill import rss_of
 from geometry_msgs.msg import PoseArray
 import numpy as np
-from ocp_ros.compare.judging import JudgedRoom
+from ocp_ros.compare.protocol import JudgedRoom
 from ocp_ros.demo.train_demo import start_nodes
 from ocp_ros.demo.watched_nodes import (
     end_on_signals,

@@ -17,7 +17,7 @@
 
 from conftest import box_room, made_room
 import numpy as np
-from ocp_ros.compare.judging import judged_room, JudgedRoom, MOUNTING_ERRORS
+from ocp_ros.compare.protocol import judged_room, JudgedRoom, MOUNTING_ERRORS
 from ocp_ros.geometry.cameras import CameraModel, Pose, rotation_matrix
 from ocp_ros.geometry.depth_error import five_viewpoints
 from ocp_ros.geometry.engine_config import EngineConfig
