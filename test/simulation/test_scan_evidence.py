@@ -19,7 +19,6 @@ from dataclasses import replace
 from benchmarks.drills import file_fuzz as files
 from conftest import box_sides
 import numpy as np
-from ocp_ros.geometry.free_space import cross_cells, proved_bits
 from ocp_ros.geometry.packed_bits import pack, unpack
 from ocp_ros.report.facts import region_rows
 from ocp_ros.report.findings import scores_of
@@ -27,6 +26,7 @@ from ocp_ros.rig.rig_file import rig_of
 from ocp_ros.scenes.scene import rotation_matrix, Scan, Scene, turned
 from ocp_ros.scenes.scene_files import load_scene
 from ocp_ros.simulation.problem import Problem
+from ocp_ros.simulation.scan_evidence import cross_cells, proved_bits
 import pytest
 
 #: A cabinet in the middle of a room of 6 x 4 x 2.8 m. A scanner at the side of x = 0 does not see
