@@ -45,7 +45,7 @@ from ocp_ros.scenes.scene import Scene
 from ocp_ros.scenes.scene_files import load_scene, READERS
 from ocp_ros.search.budget import Budget
 from ocp_ros.search.candidate_pool import views_of
-from ocp_ros.search.pose_annealing import move_camera
+from ocp_ros.search.placements import move_camera
 from ocp_ros.search.rig_plan import RigPlanner
 from ocp_ros.simulation.ray_visibility import with_rays
 from ocp_ros.simulation.simulation_config import SimulationConfig

@@ -12,13 +12,21 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Budget of a search: a time, a number of evaluations, or until it is stopped."""
+"""
+Budget of a search: a time, a number of evaluations, or until it is stopped.
 
-from collections.abc import Callable
+Searches run in threads, which end when it is stopped.
+"""
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor, wait
 from threading import Event
 import time
+from typing import TypeVar
 
 from ocp_ros.util.settings import check_positive, check_whole, ConfigurationError
+
+T = TypeVar('T')
 
 #: Receives the used share of the budget and the smallest loss so far; its result is ignored.
 Progress = Callable[[float, float], None]
@@ -92,3 +100,24 @@ class Budget:
         if max_evaluations is not None:
             shares.append(evaluations / max_evaluations)
         return max(shares)
+
+
+def run_threads(tasks: Sequence[Callable[[], T]], budget: Budget,
+                report: Callable[[], None] | None) -> list[T]:
+    """
+    Run each task in a thread, report several times a second, and return the tasks' results.
+
+    :param budget: of the tasks; it is stopped if a report fails or is interrupted.
+    :param report: called with no arguments, for its effect; None for no reports.
+    """
+    report_interval_s = 0.2
+    with ThreadPoolExecutor(len(tasks)) as workers:
+        runs = [workers.submit(task) for task in tasks]
+        try:
+            while wait(runs, report_interval_s).not_done:
+                if report is not None:
+                    report()
+        except BaseException:
+            budget.stop()
+            raise
+    return [run.result() for run in runs]

@@ -37,8 +37,8 @@ from ocp_ros.rig.rig_file import rig_of
 from ocp_ros.rooms.generator import generate_room
 from ocp_ros.search.budget import Budget, Progress
 from ocp_ros.search.candidate_pool import CandidatePool, check_regions, MountedCamera, pool_of
+from ocp_ros.search.placements import result_of_placement, SearchResult
 from ocp_ros.search.planner import Scorer, solve
-from ocp_ros.search.pose_annealing import result_of_placement, SearchResult
 from ocp_ros.search.pose_decoder import Decoder
 from ocp_ros.search.registry import OBSERVED, PLANNERS, RIG_SEARCH, SCAN
 from ocp_ros.simulation.episode import Episode

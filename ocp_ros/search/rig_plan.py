@@ -26,8 +26,8 @@ from ocp_ros.scenes.scene import Scene
 from ocp_ros.search.budget import Budget, Progress
 from ocp_ros.search.candidate_pool import check_regions, pool_of, Sites, views_of
 from ocp_ros.search.floor_counts import FloorCounts, Placed
+from ocp_ros.search.placements import result_of_placement, SearchResult
 from ocp_ros.search.plan import plan, prepare_search
-from ocp_ros.search.pose_annealing import result_of_placement, SearchResult
 from ocp_ros.search.proof.certificate import Certificate
 from ocp_ros.search.registry import check_planner, OBSERVED, PLANNERS, RIG_SEARCH
 from ocp_ros.search.rig_search import GrowingProof, prove_gap

@@ -34,7 +34,7 @@ from typing import NamedTuple
 
 import numpy as np
 from ocp_ros.rig.feasible_region import DENSE
-from ocp_ros.search.budget import Budget, Progress
+from ocp_ros.search.budget import Budget, Progress, run_threads
 from ocp_ros.search.candidate_pool import (
     are_spaced,
     CandidatePool,
@@ -42,7 +42,7 @@ from ocp_ros.search.candidate_pool import (
     Sites,
     views_of,
 )
-from ocp_ros.search.pose_annealing import move_camera, run_threads, SearchResult
+from ocp_ros.search.placements import move_camera, SearchResult
 from ocp_ros.search.pose_decoder import coarse_objective
 from ocp_ros.search.pose_grid import PoseGrid
 from ocp_ros.search.proof.certificate import Certificate, relaxed_goals

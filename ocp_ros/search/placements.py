@@ -12,26 +12,20 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Results of searches, small moves of cameras, and searches in threads."""
+"""Placements of a search: its result, and small moves of the cameras of a placement."""
 
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor, wait
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TypeVar
 
 import numpy as np
 from ocp_ros.geometry.cameras import CameraModel
 from ocp_ros.online.step import Outcome
 from ocp_ros.rig.feasible_region import FeasibleRegion
 from ocp_ros.rig.placement_file import as_written
-from ocp_ros.search.budget import Budget
 from ocp_ros.search.candidate_pool import are_spaced, MountedCamera, Sites, views_of
 from ocp_ros.search.proof.certificate import Certificate
 from ocp_ros.simulation.objective import Objective
 from ocp_ros.simulation.problem import Problem
-
-T = TypeVar('T')
-
 
 #: Number of poses drawn for a move; the first feasible pose is used.
 DRAWN_POSES = 4
@@ -121,24 +115,3 @@ def poses_around(region: FeasibleRegion, pose: np.ndarray, model: CameraModel, m
             rerolled = rng.random(count) < ROLL_SHARE
             poses[rerolled, 5] = rng.choice(rolls, np.count_nonzero(rerolled))
     return as_written(poses)
-
-
-def run_threads(tasks: Sequence[Callable[[], T]], budget: Budget,
-                report: Callable[[], None] | None) -> list[T]:
-    """
-    Run each task in a thread, report several times a second, and return the tasks' results.
-
-    :param budget: of the tasks; it is stopped if a report fails or is interrupted.
-    :param report: called with no arguments, for its effect; None for no reports.
-    """
-    report_interval_s = 0.2
-    with ThreadPoolExecutor(len(tasks)) as workers:
-        runs = [workers.submit(task) for task in tasks]
-        try:
-            while wait(runs, report_interval_s).not_done:
-                if report is not None:
-                    report()
-        except BaseException:
-            budget.stop()
-            raise
-    return [run.result() for run in runs]
