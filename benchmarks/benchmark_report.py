@@ -35,8 +35,7 @@ from ocp_ros.report.drawing.room_drawing import INK, PALE_INK
 from ocp_ros.report.drawing.saved_pictures import save_figure
 from ocp_ros.report.installer_page import escape_markdown
 from ocp_ros.search.registry import planner_names, PLANNERS, SCORES
-from ocp_ros.util.files import write_atomically
-from ocp_ros.util.terminal_text import printable
+from ocp_ros.util.files import printable, write_atomically
 
 #: Told apart with any kind of colour vision, repeated with another line where there are more.
 COLOURS = ('#0072b2', '#e69f00', '#009e73', '#cc79a7', '#56b4e9', '#d55e00', '#8c6d31')

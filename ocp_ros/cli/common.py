@@ -30,9 +30,8 @@ import warnings
 
 from ocp_ros.cli import EXIT_STOPPED
 from ocp_ros.cli.arguments import join_up_option
-from ocp_ros.util.files import file_to_write
+from ocp_ros.util.files import file_to_write, printable
 from ocp_ros.util.settings import ConfigurationError, UserError
-from ocp_ros.util.terminal_text import printable
 
 #: Groups of commands in ``ocp --help``, named by their purpose.
 PLAN, EVALUATE, LOOK, LEARN, COMPARE, REPLAY = TITLES = (

@@ -42,9 +42,9 @@ from ocp_ros.cli.arguments import (
     whole,
 )
 from ocp_ros.cli.common import claim_folder, command_of, Commands, Found, PLAN, show_written
+from ocp_ros.util.files import printable
 from ocp_ros.util.resources import find_config
 from ocp_ros.util.settings import ConfigurationError, need
-from ocp_ros.util.terminal_text import printable
 
 if TYPE_CHECKING:
     from ocp_ros.report.rig_planning import PlanTask

@@ -19,7 +19,7 @@ from pathlib import Path
 
 from ocp_ros.cli.arguments import read_delay, read_positive
 from ocp_ros.cli.common import Commands, Found, no_ros, REPLAY
-from ocp_ros.util.terminal_text import printable
+from ocp_ros.util.files import printable
 
 
 def add_arguments(commands: Commands) -> None:

@@ -20,8 +20,8 @@ import shlex
 
 from ocp_ros.cli.arguments import add_overwrite
 from ocp_ros.cli.common import claim_file, Commands, Found, LOOK
+from ocp_ros.util.files import printable
 from ocp_ros.util.settings import ConfigurationError
-from ocp_ros.util.terminal_text import printable
 
 
 def add_arguments(commands: Commands) -> None:

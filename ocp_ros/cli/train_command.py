@@ -21,10 +21,9 @@ import sys
 
 from ocp_ros.cli.arguments import add_overwrite, read_seed
 from ocp_ros.cli.common import claim_file, Commands, Found, LEARN, show_written
-from ocp_ros.util.files import folder_to_write
+from ocp_ros.util.files import folder_to_write, printable
 from ocp_ros.util.resources import find_config
 from ocp_ros.util.settings import need
-from ocp_ros.util.terminal_text import printable
 
 
 def add_arguments(commands: Commands) -> None:

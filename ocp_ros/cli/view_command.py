@@ -28,8 +28,8 @@ from ocp_ros.cli.arguments import (
     room_asked,
 )
 from ocp_ros.cli.common import claim_file, command_of, Commands, Found, LOOK, show_written
+from ocp_ros.util.files import printable
 from ocp_ros.util.settings import ConfigurationError, need
-from ocp_ros.util.terminal_text import printable
 
 
 def add_arguments(commands: Commands) -> None:

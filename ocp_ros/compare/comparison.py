@@ -36,10 +36,9 @@ from typing import Any
 from ocp_ros import __version__
 from ocp_ros.compare.protocol import BenchmarkTask, Protocol, run_task
 from ocp_ros.compare.summary import pairs, Rows, summarise
-from ocp_ros.util.files import MAX_BYTES, read_regular, sha256_of_file, write_atomically
+from ocp_ros.util.files import MAX_BYTES, printable, read_regular, sha256_of_file, write_atomically
 from ocp_ros.util.resources import find_model
 from ocp_ros.util.settings import ConfigurationError
-from ocp_ros.util.terminal_text import printable
 from ocp_ros.util.worker_pool import WorkerPool
 from ocp_ros.util.yaml_files import timestamp
 from rich.console import Console

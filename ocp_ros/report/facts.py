@@ -31,7 +31,7 @@ from ocp_ros.report.findings import MIN_SEEN_SHARE
 from ocp_ros.report.rig_planning import gap_percent
 from ocp_ros.rig.placement_file import ANGLES
 from ocp_ros.search.registry import OBSERVED, planner_names
-from ocp_ros.util.terminal_text import printable
+from ocp_ros.util.files import printable
 
 #: Matches the folders before a file name, in a word of a command line such as --out=folder/name.
 FOLDER_PATTERN = re.compile(r'(?<![^=])[^=]*/(?=[^/])')

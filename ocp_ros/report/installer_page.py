@@ -22,7 +22,7 @@ from ocp_ros.report import fill_template
 from ocp_ros.report.assessment import Assessment
 from ocp_ros.report.camera_words import INSTRUCTION_COLUMNS, lens_text
 from ocp_ros.report.facts import page_facts_of
-from ocp_ros.util.terminal_text import printable
+from ocp_ros.util.files import printable
 
 
 def escape_markdown(text: str) -> str:

@@ -35,7 +35,7 @@ from ocp_ros.report.facts import (
     SHARE_LABELS,
 )
 from ocp_ros.report.room_facts import room_rows
-from ocp_ros.util.terminal_text import printable
+from ocp_ros.util.files import printable
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table

@@ -31,8 +31,8 @@ import numpy as np
 from ocp_ros.scenes.guarded_reading import read_guarded
 from ocp_ros.scenes.scene import Scan
 from ocp_ros.scenes.text_tables import read_table, TableFormat
+from ocp_ros.util.files import printable
 from ocp_ros.util.settings import need
-from ocp_ros.util.terminal_text import printable
 from scipy.spatial.transform import Rotation
 
 _log = logging.getLogger(__name__)

@@ -41,8 +41,8 @@ from ocp_ros.scenes.measured_room import ROOM, solids_of, triangles_of
 from ocp_ros.scenes.meshes import MESHES, read_mesh
 from ocp_ros.scenes.scene import Scan, SceneError
 from ocp_ros.scenes.text_tables import read_points, read_ptx_scans
+from ocp_ros.util.files import printable
 from ocp_ros.util.settings import need
-from ocp_ros.util.terminal_text import printable
 from ocp_ros.util.yaml_files import check, read_plain
 
 #: Suffixes of measured rooms and of maps.

@@ -24,8 +24,8 @@ from typing import BinaryIO, NamedTuple
 
 import numpy as np
 from ocp_ros.scenes.guarded_reading import read_guarded
+from ocp_ros.util.files import printable
 from ocp_ros.util.settings import need
-from ocp_ros.util.terminal_text import printable
 
 _log = logging.getLogger(__name__)
 

@@ -65,9 +65,8 @@ from ocp_ros.scenes.source_frame import (
     UP_AXES,
     UP_CHOICES,
 )
-from ocp_ros.util.files import write_atomically
+from ocp_ros.util.files import printable, write_atomically
 from ocp_ros.util.settings import need, UserError
-from ocp_ros.util.terminal_text import printable
 from scipy.spatial import cKDTree
 
 #: The number of sample points on a mesh, to find its size, axes and stray parts.

@@ -42,9 +42,9 @@ from ocp_ros.search.population import (
 )
 from ocp_ros.search.rig_search import search
 from ocp_ros.simulation.simulation_config import EpisodeConfig
+from ocp_ros.util.files import printable
 from ocp_ros.util.resources import DEFAULT_MODEL, find_model
 from ocp_ros.util.settings import ConfigurationError
-from ocp_ros.util.terminal_text import printable
 from ocp_ros.util.yaml_files import nearest
 
 #: The default planner.

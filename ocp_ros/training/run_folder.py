@@ -22,9 +22,8 @@ from typing import Any
 
 from ocp_ros.training.training_config import TrainingConfig
 from ocp_ros.training.training_rooms import PARTS, room_names
-from ocp_ros.util.files import read_regular, write_atomically
+from ocp_ros.util.files import printable, read_regular, write_atomically
 from ocp_ros.util.settings import ConfigurationError, flatten, from_nested, to_nested
-from ocp_ros.util.terminal_text import printable
 from ocp_ros.util.yaml_files import read_plain
 import yaml
 

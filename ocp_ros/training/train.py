@@ -50,10 +50,9 @@ from ocp_ros.training.sac_state import (
 from ocp_ros.training.training_config import TrainingConfig
 from ocp_ros.training.training_rooms import room_names
 from ocp_ros.training.validation import evaluate, trials_of
-from ocp_ros.util.files import remove_unfinished
+from ocp_ros.util.files import printable, remove_unfinished
 from ocp_ros.util.resources import find_model
 from ocp_ros.util.settings import to_nested
-from ocp_ros.util.terminal_text import printable
 from ocp_ros.util.threads import cores
 from ocp_ros.util.worker_pool import WorkerPool
 from rich.progress import MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn

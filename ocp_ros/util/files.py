@@ -12,7 +12,11 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Write files atomically, so that they are complete or absent whenever the process ends."""
+"""
+Write files atomically, so that they are complete or absent whenever the process ends.
+
+Untrusted text, such as the names of files, is made safe to print.
+"""
 
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager, suppress
@@ -29,7 +33,6 @@ import tempfile
 from typing import BinaryIO
 
 from ocp_ros.util.settings import ConfigurationError
-from ocp_ros.util.terminal_text import printable
 
 _log = logging.getLogger(__name__)
 
@@ -282,3 +285,21 @@ def _try_to_write(folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryFile(dir=folder) as file:
         file.write(b'ocp')
+
+
+def printable(text: str) -> str:
+    """
+    Return a text as one line without terminal control or text direction characters.
+
+    Undecodable bytes of file names, control characters and text direction characters become
+    hexadecimal escapes; tabs, line ends and other blanks become spaces.
+    """
+    return ''.join(_printable_letter(letter) for letter in text)
+
+
+def _printable_letter(letter: str) -> str:
+    """Return a letter, or its replacement if it is not printable."""
+    # Several scripts need these invisible characters, which join or separate letters.
+    if letter.isprintable() or letter in '\u200c\u200d':
+        return letter
+    return ' ' if letter.isspace() else letter.encode('unicode_escape').decode('ascii')
