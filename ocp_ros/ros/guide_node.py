@@ -50,7 +50,6 @@ class GuideNodeConfig:
                         'machine alone; 0.0.0.0: all, with a random token in the URL')
     port: int = setting(FIRST_PORT + 1, 'port of the page, or the first one to try; 0: any free '
                         'one', 0, 65535)
-    policy: str = setting('policy_node', 'name of the policy_node that is guided')
     autostart: bool = autostart()
 
 
@@ -74,13 +73,12 @@ class GuideNode(ManagedNode):
                 (String, topics.INSTRUCTIONS, self._on_instructions, LATCHED),
                 (String, topics.PLACEMENT_STATUS, self._on_status, LATCHED)):
             self.create_subscription(msg_type, topic, partial(self._take_message, callback), qos)
-        policy = self.config.policy
-        pause = self.create_client(SetBool, f'{policy}/pause')
+        pause = self.create_client(SetBool, 'policy_node/pause')
         #: The client and the request of each button.
         self._actions: dict[str, tuple[Client, Any]] = {
             guide_page.HOLD: (pause, SetBool.Request(data=True)),
             guide_page.GO_ON: (pause, SetBool.Request(data=False)),
-            **{label: (self.create_client(Trigger, f'{policy}/{name}'), Trigger.Request())
+            **{label: (self.create_client(Trigger, f'policy_node/{name}'), Trigger.Request())
                for label, name in ((guide_page.ARRIVED, 'arrived'), (guide_page.RESET, 'reset'),
                                    (guide_page.ACCEPT, 'accept'))}}
         create_steady_timer(self, 0.1, self._run_pressed_actions)
@@ -130,8 +128,7 @@ class GuideNode(ManagedNode):
         """Call a service of ``policy_node``, and show its response."""
         if not client.service_is_ready():
             self.page.show_message(
-                f'found no service {client.srv_name}; expected the one of {self.config.policy}; '
-                'start it, or set the parameter policy')
+                f'found no service {client.srv_name}; expected the one of policy_node; start it')
             return
         client.call_async(request).add_done_callback(
             lambda future: self.page.show_message(future.result().message))

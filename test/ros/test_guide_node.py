@@ -94,9 +94,10 @@ def test_accept_hold_go_on_and_reset(guided):
 
 
 def test_a_guide_without_a_policy_says_so(graph):
-    guide = graph.add(GuideNode, port=0, policy='nobody')
+    guide = graph.add(GuideNode, port=0)
     guide._pressed += [guide_page.RESET]
-    graph.until(lambda: 'nobody/reset; expected the one of nobody' in guide.page.answer.content)
+    graph.until(lambda: 'policy_node/reset; expected the one of policy_node' in (
+        guide.page.answer.content))
 
 
 def test_the_plan_shows_each_camera_and_its_target():
