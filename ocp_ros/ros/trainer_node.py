@@ -80,7 +80,8 @@ class TrainerNode(OverridableNode):
         super().__init__('trainer_node', **kwargs)
         self.config = declare(self, TrainerNodeConfig)
         folder_to_write(Path(self.config.folder), 'folder')
-        torch.set_num_threads(self.config.threads)
+        # More threads for a gradient step save time only on idle cores.
+        torch.set_num_threads(1)
         checkpoint = Checkpoint.load(find_model(self.config.model)) if self.config.model else None
         # A checkpoint contains the settings of its network.
         self.agent = self.config.agent if checkpoint is None else checkpoint.config

@@ -63,8 +63,6 @@ class LearnerConfig:
     folder: str = setting('out/trainer', 'folder of checkpoints and TensorBoard files')
     model: str = setting('', 'first weights: path or name; empty: random')
     seed: int = setting(0, 'seed of networks and batches', 0, MAX_SEED)
-    threads: int = setting(
-        1, 'CPU threads of a gradient step; more threads save time only on idle cores', 1, 1024)
 
 
 class Learner:
