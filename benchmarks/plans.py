@@ -149,17 +149,19 @@ def halved(scene: Scene, rig_name: str, seed: int) -> dict:
     rig, order = rig_named(rig_name), np.random.default_rng(seed).permutation(len(scene))
     here, there = (Scene(scene.points[np.sort(half)], scene.name)
                    for half in np.array_split(order, 2))
-    plan = RigPlanner(here, rig, PROMISING, Budget(evaluations=HALVED)).plan(rig)
+    poses = RigPlanner(here, rig, PROMISING, Budget(evaluations=HALVED)).plan(rig).answer.poses
     judge = Simulator(there, SimulationConfig(engine=PROMISING), rig.models)
-    poses = plan.answer.poses
     delivered = np.mean([judge.evaluate(np.hstack([places, poses[:, 3:]])).depth_error
                          for places in mounted(poses[:, :3], MOUNTED)])
-    return {'promised': plan.validated.placement, 'worst': plan.validated.nothing,
-            'delivered': float(delivered)}
+    return {**promise_of(here, rig, poses.tolist()), 'delivered': float(delivered)}
 
 
 def scans_of(folder: Path) -> dict:
-    """Return how often the interval holds in real scans that are split in half."""
+    """
+    Return how far promises hold in real scans that are split in half.
+
+    What one half lacks the other lacks too, so that the expected error cannot be judged.
+    """
     rows = []
     for path, rig, seed in product(sorted(folder.iterdir()), RIGS, range(HALVES)):
         if path.suffix in READERS and path.suffix not in MESHES:
@@ -169,20 +171,8 @@ def scans_of(folder: Path) -> dict:
                 print(f'{path.name}: {error}')
                 continue
             print(path.name, rig, rows[-1], flush=True)
-    return {'plans': len(rows), **_kept(rows)}
-
-
-def _kept(rows: list[dict]) -> dict:
-    """Return how far promises are kept."""
-    # The other half of a scan lacks what one half lacks.
-    hoped = [expected(row['promised'], row['worst'], unscanned=row.get('unscanned', 0.0))
-             for row in rows]
-    return {
-        'promise_mean': geometric([row['promised'] / row['delivered'] for row in rows]),
-        'expected_mean': geometric([hope['depth_error'] / row['delivered']
-                                    for hope, row in zip(hoped, rows)]),
-        'promise_coverage': round(float(np.mean([hope['low'] <= row['delivered'] <= hope['high']
-                                                 for hope, row in zip(hoped, rows)])), 3)}
+    return {'plans': len(rows), 'promise_mean': geometric(
+        [row['promised'] / row['delivered'] for row in rows])}
 
 
 def summary_of(rows: list[dict]) -> dict:
@@ -193,12 +183,19 @@ def summary_of(rows: list[dict]) -> dict:
         some = [row for row in rows if row['rig'] == rig]
         online = [row['delivered'] / row['online_delivered'] for row in some]
         truth = [row['delivered'] / row['truth_delivered'] for row in some]
+        hoped = [expected(row['promised'], row['worst'], unscanned=row['unscanned'])
+                 for row in some]
         found['rigs'][rig] = {
             'delivered': round(sum(row['delivered'] for row in some), 2),
             'plan_over_lookahead': geometric(online),
             'plan_over_lookahead_worst': round(max(online), 3),
             'plan_over_truth': geometric(truth), 'plan_over_truth_worst': round(max(truth), 3),
-            **_kept(some),
+            'promise_mean': geometric([row['promised'] / row['delivered'] for row in some]),
+            'expected_mean': geometric([hope['depth_error'] / row['delivered']
+                                        for hope, row in zip(hoped, some)]),
+            'promise_coverage': round(float(np.mean(
+                [hope['low'] <= row['delivered'] <= hope['high']
+                 for hope, row in zip(hoped, some)])), 3),
             'priced_poses': int(np.median([row['priced'] for row in some])),
             'certificate_gap': round(float(np.median([row['gap'] for row in some])), 4),
             'certificate_gap_worst': round(max(row['gap'] for row in some), 4),

@@ -395,13 +395,13 @@ def expected(error: float, worst: float, missing: Sequence[str] = (), unscanned:
     :returns: ``depth_error``, ``low`` and ``high``, metres; in nine of ten rooms the error was
         between ``low`` and ``high``. ``sparse`` is true if the scan is, which makes them wide.
     """
-    table = _ratio_table()
+    table, ratios = _ratio_table(), ratios_for(error, worst, missing)
     # The ratios are those of both errors plus an offset, since ratios of small errors say little.
-    offset = table['offset'] * worst
-    missed = error + table['unscanned'] * unscanned + offset
-    low, median, high = (float(np.clip(ratio * missed - offset, 0.0, worst + unscanned))
-                         for ratio in ratios_for(error, worst, missing))
-    return {'depth_error': median, 'low': low, 'high': high,
+    offset, missed = table['offset'] * worst, error + table['unscanned'] * unscanned
+    low, median, high = (float(np.clip(ratio * (missed + offset) - offset, 0.0, worst + unscanned))
+                         for ratio in ratios)
+    # Less than the offset may still be more than nothing.
+    return {'depth_error': max(median, ratios[0] * missed), 'low': low, 'high': high,
             **({'sparse': True} if 'sparse' in missing else {})}
 
 
