@@ -16,6 +16,7 @@
 
 import argparse
 from collections.abc import Hashable, Iterable, Iterator, Sequence
+from itertools import combinations
 from pathlib import Path
 from typing import Any, TYPE_CHECKING
 
@@ -100,7 +101,13 @@ def run(arguments: argparse.Namespace) -> Found:
     """Register each camera that has a cloud, write the poses and return the results."""
     from ocp_ros.formats.exported import Exported
     from ocp_ros.formats.exports import export, FORMATS, formats_named, WRITTEN
-    from ocp_ros.registration.calibration import by_scan, since_reference, without_scan
+    from ocp_ros.registration.calibration import (
+        by_scan,
+        OPENGL,
+        OPTICAL,
+        since_reference,
+        without_scan,
+    )
     from ocp_ros.registration.movement import load_references, REFERENCES, save_references
     from ocp_ros.rig.placement_file import load_placement
     from ocp_ros.rig.rig_file import load_rig
@@ -139,6 +146,10 @@ def run(arguments: argparse.Namespace) -> Found:
         near = {'near': arguments.near} if arguments.near else {}
         found = by_scan(scene, placement, clouds, command, measured, seen=seen, **near)
     rows = found.rows
+    for row in rows:
+        # Both ways between these axes are the same.
+        if arguments.cloud_frame == 'opengl' and row.get('otherwise') == OPENGL:
+            row['otherwise'] = OPTICAL
     result: Found = {'cameras': rows, 'written': []}
     # Write the files, without refused cameras except for the placement.
     with file_set(arguments.out, names_of_set, figures_name) as unfinished:
@@ -163,8 +174,12 @@ def _distances(texts: Sequence[str], names: Iterable[str]) -> dict[tuple[str, st
     """Read the distances CAMERA:OTHER=METRES between two of some cameras."""
     found = {}
     for text in texts:
-        pair, value = _split_pair(text, '--distance', 'METRES')
+        pair, _, value = text.partition('=')
         camera, _, other = pair.partition(':')
+        if not (camera and other and value) or camera == other:
+            raise ConfigurationError(
+                f'--distance: found {text!r}; expected CAMERA:OTHER=METRES, of two cameras; '
+                'write, for example, door:window=1.82')
         check_known([camera, other], names, '--distance, cameras')
         try:
             found[camera, other] = read_distance(value)
@@ -237,6 +252,7 @@ def clouds_of(arguments: argparse.Namespace, names: Sequence[str] | None
         and by camera and moment, the points of each thing that was set down.
     :raises ConfigurationError: if the camera of a cloud is not clear, or there is no cloud.
     """
+    import numpy as np
     from ocp_ros.registration.carried import moments_of, set_down
     from ocp_ros.registration.steady_cloud import steady_cloud
     clouds: dict[str, np.ndarray] = {}
@@ -251,6 +267,15 @@ def clouds_of(arguments: argparse.Namespace, names: Sequence[str] | None
                 times += moments
             seen[name] = {moments[k]: things for k, things in set_down(
                 [*frames.values()], clouds[name]).items()}
+    for name, other in combinations(clouds, 2):
+        if np.array_equal(clouds[name], clouds[other]):
+            raise ConfigurationError(f'--clouds: found the same points for {name} and {other}; '
+                                     'expected what each camera sees; name its own file or topic')
+    if len(seen) > 1 and all(seen.values()) and not any(
+            seen[name].keys() & seen[other].keys() for name, other in combinations(seen, 2)):
+        raise ConfigurationError(
+            '--box: found no moment at which two cameras have a frame; expected files of one '
+            'moment to have the same name in each folder; rename them')
     if arguments.box and not any(seen.values()):
         raise ConfigurationError(
             '--box: found nothing that was set down for two frames; expected a box at another '
@@ -262,6 +287,7 @@ def _frames_of(arguments: argparse.Namespace, names: Sequence[str] | None
                ) -> 'Iterator[tuple[str, dict[Any, np.ndarray]]]':
     """Yield cameras and their frames by file name or time; see :func:`clouds_of`."""
     from ocp_ros.geometry.cameras import TO_BODY
+    from ocp_ros.scenes.scene import SceneError
     from ocp_ros.scenes.scene_files import load_cloud
     if arguments.bag:
         if names is None:
@@ -289,7 +315,13 @@ def _frames_of(arguments: argparse.Namespace, names: Sequence[str] | None
         check_known(files, names, '--clouds, cameras')
     rotation = TO_BODY[arguments.cloud_frame or 'optical']
     for name, path in files.items():
-        yield name, {one.name: load_cloud(one) @ rotation.T for one in _frames_in(path)}
+        frames = {}
+        for one in _frames_in(path):
+            try:
+                frames[one.name] = load_cloud(one) @ rotation.T
+            except SceneError as error:
+                raise SceneError(f'{name}: {error} (or leave this frame out)') from error
+        yield name, frames
 
 
 def _frames_in(path: Path) -> list[Path]:

@@ -54,6 +54,7 @@ from ocp_ros.scenes.scene import Scene, SceneError
 from ocp_ros.util.settings import ConfigurationError
 from ocp_ros.util.yaml_files import Document
 
+OPTICAL = 'its cloud has optical axes (--cloud-frame optical)'
 OPENGL = ('its cloud has x right, y up and z backward, as the RealSense Viewer writes it '
           '(--cloud-frame opengl)')
 #: How a camera may differ from the placement: a description, a roll about the viewing direction in
@@ -62,7 +63,7 @@ OTHER_SETUPS = (
     ('it is mounted upside down', np.pi, np.eye(3)),
     ('it is mounted on its side', 0.5 * np.pi, np.eye(3)),
     ('it is mounted on its other side', -0.5 * np.pi, np.eye(3)),
-    ('its cloud has optical axes (--cloud-frame optical)', 0.0, OPTICAL_TO_BODY),
+    (OPTICAL, 0.0, OPTICAL_TO_BODY),
     ('its cloud has the axes of the body (--cloud-frame body)', 0.0, OPTICAL_TO_BODY.T),
     # Of files that are read as optical, and of files that are read as body.
     (OPENGL, 0.0, TO_BODY['opengl'] @ OPTICAL_TO_BODY.T),
@@ -152,10 +153,7 @@ def _with_other_setups(scan: ScanSurfaces, placement: Placement, clouds: Mapping
                         for other in others] + attempts
         for cloud, description, roll, axes in attempts:
             points = cloud @ axes.T
-            # Most cameras see nothing behind them, so that these axes are wrong.
-            if model.horizontal_fov < np.pi and (
-                    np.count_nonzero(points[:, 0] < 0.0) > 0.1 * np.count_nonzero(
-                        points[:, 0] > 0.0)):
+            if _is_behind(points, model):
                 continue
             with suppress(SceneError):
                 rolled = Pose(start.position, start.rotation @ rotation_matrix(roll=roll))
@@ -164,6 +162,12 @@ def _with_other_setups(scan: ScanSurfaces, placement: Placement, clouds: Mapping
                     found[name], used[name] = other._replace(actual_setup=description), points
                     break
     return found, used
+
+
+def _is_behind(points: np.ndarray, model: CameraModel) -> bool:
+    """Return whether points (N, 3), body frame, are behind a camera that sees nothing there."""
+    behind, ahead = (np.count_nonzero(sign * points[:, 0] > 0.0) for sign in (-1.0, 1.0))
+    return bool(model.horizontal_fov < np.pi and behind > 0.1 * ahead)
 
 
 def _correct_depths(scan: ScanSurfaces, placement: Placement, found: dict[str, Registration],
@@ -342,6 +346,10 @@ def views_of(clouds: Mapping[str, np.ndarray], models: Mapping[str, CameraModel]
     views, reasons = {}, {}
     for name, model in models.items():
         if name not in clouds:
+            continue
+        if _is_behind(clouds[name], model):
+            reasons[name] = ('found points behind the camera; expected all of them before it; say '
+                             'which axes its cloud has (--cloud-frame)')
             continue
         try:
             views[name] = LiveView(clouds[name], model, name)

@@ -170,6 +170,11 @@ def way_back(movement: Movement, reference: Pose) -> str:
     yaw, pitch, roll = np.rad2deg(heading_of(reference.rotation) - heading_of(now.rotation))
     # Turns are at most half a circle.
     yaw, roll = (yaw + 180.0) % 360.0 - 180.0, (roll + 180.0) % 360.0 - 180.0
+    # About the vertical first, or about the camera's own axes where that is less, as for one that
+    # looks straight down.
+    own = Rotation.from_matrix(now.rotation.T @ reference.rotation).as_rotvec(degrees=True)
+    yaw, pitch, roll = min([(yaw, pitch, roll), tuple(own[::-1])],
+                           key=lambda turns: sum(map(abs, turns)))
     heading = heading_of(reference.rotation)[0]
     ahead, left, up = 100.0 * rotation_matrix(heading).T @ (reference.position - now.position)
     turns = [f'{abs(value):.1f} degrees {words[int(value < 0.0)]}' for value, words in (

@@ -19,7 +19,13 @@ from pathlib import Path
 from benchmarks.calibration_bench import cast, off
 from conftest import printed, refused, ROOT
 import numpy as np
-from ocp_ros.geometry.cameras import heading_of, OPTICAL_TO_BODY, Pose, TO_BODY
+from ocp_ros.geometry.cameras import (
+    heading_of,
+    OPTICAL_TO_BODY,
+    Pose,
+    rotation_matrix,
+    TO_BODY,
+)
 from ocp_ros.registration import mutual_registration
 from ocp_ros.registration.alignment import AlignmentStage, Patches
 from ocp_ros.registration.calibration import (
@@ -168,6 +174,10 @@ def test_a_person_is_told_how_to_put_a_camera_back():
         'turn it 4.0 degrees to the left, 2.0 degrees down; raise it by 3.0 cm; '
         'move it back by 2.0 cm')
     assert way_back(movement._replace(pose=HERE), reference) == ''
+    # One that looks nearly straight down is turned about its own axes.
+    steep = Pose.of(np.array([1.0, 2.0, 2.2, 0.3, np.deg2rad(85.0), 0.0]))
+    turned = Pose(np.zeros(3), rotation_matrix(yaw=np.deg2rad(-2.0)))
+    assert way_back(movement._replace(pose=turned), steep) == 'turn it 2.0 degrees to the left'
 
 
 def test_files_alone_give_a_placement_a_room_and_references(clouds, capsys, tmp_path, monkeypatch):
@@ -178,6 +188,8 @@ def test_files_alone_give_a_placement_a_room_and_references(clouds, capsys, tmp_
             np.save(f'{name}/{number}.npy', cloud @ OPTICAL_TO_BODY)
     found = printed(capsys, 'calibrate', '--clouds', *clouds, '--sensor', 'd455')
     assert [row['refused'] for row in found['cameras']] == ['', '', '']
+    assert refused(capsys, 'calibrate', '--clouds', *clouds, '--sensor', 'd455', '--cloud-frame',
+                   'opengl', '--out', 'out/wrong').count('points behind the camera') == 3
     built = load_placement('out/built/placement.yaml')
     poses = [Pose.of(one.pose) for one in built.cameras]
     assert_near(relative_pose(poses[1], poses[0]), relative_pose(TRUE[1], TRUE[0]), 0.02, 0.7)
@@ -259,11 +271,18 @@ def test_a_measured_distance_holds_a_camera_along_it():
     (['--clouds', 'b.npy', '--near', '1'], '--near'),
     (['--against', 'a.yaml', '--clouds', 'b.npy', '--distance', 'b:c=1'], '--distance'),
     (['--against', 'a.yaml', '--clouds', 'b.npy', '--box'], '--box'),
-    (['--clouds', 'b.npy', 'c=b.npy', '--distance', 'b:c=0'], 'metres above 0')])
+    (['--clouds', 'b.npy', 'c.npy', '--distance', 'b:c=0'], 'metres above 0'),
+    (['--clouds', 'b.npy', 'c.npy', '--distance', 'b:b=1'], 'of two cameras'),
+    (['--clouds', 'b.npy', 'c.npy', '--distance', 'b:c'], 'CAMERA:OTHER=METRES'),
+    (['--clouds', 'b.npy', 'c=b.npy'], 'same points for b and c'),
+    (['--clouds', 'b.npy', 'mixed'], 'mixed: x.ply')])
 def test_what_does_not_go_together_is_refused(capsys, tmp_path, monkeypatch, arguments, words):
     monkeypatch.chdir(tmp_path)
     Path('empty').mkdir()
-    np.save('b.npy', np.ones((20, 3)))
+    Path('mixed').mkdir()
+    Path('mixed/x.ply').touch()
+    for name, value in (('b', 1.0), ('c', 2.0)):
+        np.save(f'{name}.npy', np.full((200, 3), value))
     assert words in refused(capsys, 'calibrate', *arguments)
 
 
