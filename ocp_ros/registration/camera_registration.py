@@ -628,7 +628,8 @@ def _rejection_reason(overlap: float, violated_share: float, behind_share: float
                 'whether the cloud is its own')
     if violated_share > LIMITS.max_violated:
         return (f'{_change_reason(violated_share)}, at most '
-                f'{100.0 * LIMITS.max_violated:.0f} % may; scan it again')
+                f'{100.0 * LIMITS.max_violated:.0f} % may; scan it again, or '
+                'check whether the cloud is its own')
     if behind_share > LIMITS.max_behind:
         return (f'{100.0 * behind_share:.1f} % of what it sees lies closely behind scanned '
                 f'surfaces, at most {100.0 * LIMITS.max_behind:.1f} % may')
