@@ -19,6 +19,7 @@ from contextlib import suppress
 from copy import deepcopy
 from dataclasses import replace
 from functools import partial
+from itertools import combinations
 import logging
 from typing import Any, NamedTuple
 
@@ -109,7 +110,25 @@ def calibrate(scan: ScanSurfaces, placement: Placement, clouds: Mapping[str, np.
                               if used.get(name) is clouds.get(name)},
                              {name: models[name] for name in found})
         found = register_together(scan, views, found, measured, carried)
-    return found, reasons
+    return _with_exchanged(placement, found), reasons
+
+
+def _with_exchanged(placement: Placement, found: Mapping[str, Registration]
+                    ) -> dict[str, Registration]:
+    """Return registrations with a note for two cameras that fit each other's planned poses."""
+    planned = {placed.camera.name: Pose.of(placed.pose) for placed in placement.cameras}
+    noted = dict(found)
+    for pair in combinations([name for name, one in found.items() if not one.refused], 2):
+        # Metres and radians from the own planned poses, and from those of the other camera.
+        own, exchanged = (sum(sum(found[name].pose.away_from(planned[other]))
+                              for name, other in zip(pair, others))
+                          for others in (pair, pair[::-1]))
+        if own > 0.3 and exchanged < 0.5 * own:
+            for name, other in zip(pair, pair[::-1]):
+                noted[name] = noted[name]._replace(note='; '.join(filter(None, [
+                    noted[name].note, f'it is nearer to the planned pose of {other}, and {other} '
+                    'to its own: check whether their clouds are exchanged'])))
+    return noted
 
 
 def _for_each_camera(

@@ -127,6 +127,17 @@ def test_exchanged_clouds_are_found_and_named(scan):
         assert_near(found[name].pose, Pose.of(row))
 
 
+def test_exchanged_clouds_of_neighbours_are_noted(scan):
+    rows = np.array([ROW, [ROW[0] + 0.4, ROW[1], ROW[2], ROW[3] + 0.3, *ROW[4:]]])
+    placement = placement_of(rig_of(2, SENSOR), rows)
+    names = [placed.camera.name for placed in placement.cameras]
+    clouds = [seen_by(Pose.of(row))[::4] for row in rows]
+    for order, noted in ((clouds, False), (clouds[::-1], True)):
+        found, _ = calibrate(scan, placement, dict(zip(names, order)))
+        assert ['exchanged' in found[name].note for name in names] == [noted, noted]
+        assert not any(found[name].refused for name in names)
+
+
 def test_a_room_that_has_changed_since_the_scan_is_named_with_the_pose(view):
     points, rng = generate_room(SEED, 9000).points, np.random.default_rng(0)
     middle = TRUE.position + 1.6 * TRUE.rotation[:, 0]
