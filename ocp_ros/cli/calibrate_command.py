@@ -101,13 +101,7 @@ def run(arguments: argparse.Namespace) -> Found:
     """Register each camera that has a cloud, write the poses and return the results."""
     from ocp_ros.formats.exported import Exported
     from ocp_ros.formats.exports import export, FORMATS, formats_named, WRITTEN
-    from ocp_ros.registration.calibration import (
-        by_scan,
-        OPENGL,
-        OPTICAL,
-        since_reference,
-        without_scan,
-    )
+    from ocp_ros.registration import calibration
     from ocp_ros.registration.movement import load_references, REFERENCES, save_references
     from ocp_ros.rig.placement_file import load_placement
     from ocp_ros.rig.rig_file import load_rig
@@ -135,21 +129,21 @@ def run(arguments: argparse.Namespace) -> Found:
     folder_to_write(arguments.out)
     command, measured = command_of(arguments.argv), _distances(arguments.distance, clouds)
     if placement is None:
-        found = without_scan(clouds, arguments.sensor or '', command, measured, seen)
+        found = calibration.without_scan(clouds, arguments.sensor or '', command, measured, seen)
     elif arguments.against:
         references = load_references(arguments.against.with_name(REFERENCES))
-        found = since_reference(placement, references, clouds, command)
+        found = calibration.since_reference(placement, references, clouds, command)
     else:
         # A generated room has this number of points; 0 stands for all points of a scan.
         points = 120_000 if arguments.room.isdecimal() else 0
         scene, _ = room_asked(arguments, {**placement.room, 'points': points})
         near = {'near': arguments.near} if arguments.near else {}
-        found = by_scan(scene, placement, clouds, command, measured, seen=seen, **near)
+        found = calibration.by_scan(scene, placement, clouds, command, measured, seen=seen, **near)
     rows = found.rows
     for row in rows:
         # Both ways between these axes are the same.
-        if arguments.cloud_frame == 'opengl' and row.get('otherwise') == OPENGL:
-            row['otherwise'] = OPTICAL
+        if arguments.cloud_frame == 'opengl' and row.get('otherwise') == calibration.OPENGL:
+            row['otherwise'] = calibration.OPTICAL
     result: Found = {'cameras': rows, 'written': []}
     # Write the files, without refused cameras except for the placement.
     with file_set(arguments.out, names_of_set, figures_name) as unfinished:

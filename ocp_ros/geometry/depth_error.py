@@ -25,6 +25,7 @@ the point of a node is visible, it sets the depths of all pixels below the node 
 
 from collections.abc import Callable, Sequence
 from copy import copy
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -352,11 +353,7 @@ class DepthError:
         parts = Trees(*map(list, zip(*(trees for trees, _ in results))))
         # All trees need much memory, so those of a viewpoint are freed when they are joined.
         del results
-        bounds = np.stack([points.min(axis=0), points.max(axis=0)])
-        shares, sums = zip(*(_unscanned(depth_map, position, bounds, empty_depth)
-                             for depth_map, position in zip(self._maps, viewpoints)))
-        #: Of the scene, whatever is visible.
-        self.unscanned = Unscanned(np.array(shares), sum(sums) / self.pixels)
+        self._bounds = np.stack([points.min(axis=0), points.max(axis=0)])
         #: The first node of each viewpoint, and the number of all nodes: (V + 1,).
         self._starts = np.cumsum([0, *map(len, parts.end)])
         for number, start in enumerate(self._starts[:-1]):
@@ -419,6 +416,14 @@ class DepthError:
         fields = _build_trees(pixels, starts, indices, depths, self.far, int(counts.max()))
         return Trees(*fields), depth_map.reshape(self.shape)
 
+    @cached_property
+    def unscanned(self) -> Unscanned:
+        """Return what the scan does not show, whatever is visible; only a promise asks for it."""
+        shares, sums = zip(*(_unscanned(depth_map, position, self._bounds, self.far)
+                             for depth_map, position in zip(self._maps, self.viewpoints)))
+        # Its maps have all points, so that ``folds`` do not scale it.
+        return Unscanned(np.array(shares), sum(sums) / (self._maps[0].size * len(self._maps) / 5))
+
     def parts(self, groups: np.ndarray) -> dict[int, 'DepthError']:
         """
         Return the errors of groups of viewpoints, whose sum is the error.
@@ -434,6 +439,7 @@ class DepthError:
             trees = Trees(*(field[nodes] for field in self.trees))
             parts[int(group)] = part = copy(self)
             part.trees = trees._replace(end=trees.end - np.uint32(nodes.start))
+            vars(part).pop('unscanned', None)
             part.viewpoints = self.viewpoints[rows]
             part._maps = [self._maps[row] for row in rows]
             part._starts = self._starts[rows[0]:rows[-1] + 2] - nodes.start

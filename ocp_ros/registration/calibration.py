@@ -125,10 +125,15 @@ def _with_exchanged(placement: Placement, found: Mapping[str, Registration]
                           for others in (pair, pair[::-1]))
         if own > 0.3 and exchanged < 0.5 * own:
             for name, other in zip(pair, pair[::-1]):
-                noted[name] = noted[name]._replace(note='; '.join(filter(None, [
-                    noted[name].note, f'it is nearer to the planned pose of {other}, and {other} '
-                    'to its own: check whether their clouds are exchanged'])))
+                noted[name] = _with_note(noted[name], (
+                    f'it is nearer to the planned pose of {other}, and {other} to its own: check '
+                    'whether their clouds are exchanged'))
     return noted
+
+
+def _with_note(one: Registration, note: str) -> Registration:
+    """Return a registration with a further note."""
+    return one._replace(note='; '.join(filter(None, [one.note, note])))
 
 
 def _for_each_camera(
@@ -214,10 +219,10 @@ def _correct_depths(scan: ScanSurfaces, placement: Placement, found: dict[str, R
                 abs(factor - 1.0) > max(WRONG_DEPTHS, 4.0 * deviation)):
             used[name] = used[name] * factor
             one = register(scan, LiveView(used[name], model, name), one.pose, model, near)
-            found[name] = one._replace(note='; '.join([*filter(None, [one.note]), (
+            found[name] = _with_note(one, (
                 f'its depths are {100.0 * abs(1.0 / factor - 1.0):.1f} % too '
                 f'{"long" if factor < 1.0 else "short"}, or the scale of the scan is wrong; its '
-                'pose is by corrected depths; calibrate its depths')]))
+                'pose is by corrected depths; calibrate its depths'))
 
 
 def drift(scan: ScanSurfaces, placement: Placement, clouds: Mapping[str, np.ndarray]) -> list[str]:

@@ -99,7 +99,7 @@ def _unscanned_notes(objective: Objective) -> list[str]:
     return [f'found nothing scanned in {100.0 * share:.0f} % of all directions from places all '
             f'over the room, most from ({place}); expected at most '
             f'{100.0 * MAX_UNSCANNED_SHARE:.0f} %; scan from there too, unless it is a window or '
-            'an open door; cameras are expected to miss half of what is there']
+            f'an open door; {100.0 * _ratio_table()["unscanned"]:.0f} % of it is expected missed']
 
 
 def _unseen_room_notes(rooms: Sequence[dict[str, Any]]) -> list[str]:
