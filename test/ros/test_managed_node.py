@@ -14,6 +14,8 @@
 
 """Managed nodes: who commands, life cycles, and parameters that change while a node runs."""
 
+import gc
+
 from conftest import box_sides, counted, header_at, SMALL, status
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseArray
@@ -265,6 +267,21 @@ def test_a_node_that_cannot_be_configured_says_why_and_tries_again(
     assert manager.state('policy_node') == 'unconfigured'
     assert policy.set_parameters([Parameter('planner', value='lookahead')])[0].successful
     assert manager.change('policy_node', CONFIGURE) and manager.change('policy_node', ACTIVATE)
+
+
+def test_a_node_that_has_ended_leaves_the_graph_at_once(graph, manager):
+    """Also while Python collects no garbage: what it is collected beside would be disturbed."""
+    def known():
+        return 'policy_node' in manager.node.get_node_names()
+
+    gc.disable()
+    try:
+        policy = graph.add(PolicyNode, planner='lookahead')
+        graph.until(known)
+        graph.remove(policy)
+        graph.until(lambda: not known(), timeout=15.0)
+    finally:
+        gc.enable()
 
 
 POSITIONS = np.array([[2.0, 2.0, 1.9], [3.0, 2.0, 1.9], [2.0, 3.0, 1.9]])

@@ -241,6 +241,8 @@ class ManagedNode(OverridableNode, LifecycleNode):
         """Release everything, and end the node."""
         self.release()
         super().destroy_node()
+        # rclpy 7.1 forgets it, and it keeps the node in the graph until Python collects garbage.
+        self._state_machine.destroy_when_not_in_use()
 
     def apply_config(self, config: Any) -> None:
         """Continue with new parameters; is called only while the node is configured."""
