@@ -52,7 +52,7 @@ def drawn_near(rng: np.random.Generator, count: int, radius: float) -> np.ndarra
     return length[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
 
 
-def outwards(count: int, pitch: float) -> np.ndarray:
+def outwards(count: int, pitch: float = 0.0) -> np.ndarray:
     """
     Return headings with evenly spread yaws.
 

@@ -295,9 +295,7 @@ class Rig:
 
         Their headings change only if the caller changes them.
         """
-        # The settings have one model for all cameras, or one for each.
-        models = config.models * (config.cameras // len(config.models))
-        cameras = tuple(Camera(f'camera_{k}', '', model) for k, model in enumerate(models))
+        cameras = tuple(Camera(f'camera_{k}', '', config.model) for k in range(config.cameras))
         return cls(
             cameras, (), Mount('box', (config.height, config.height)), pitch=(0.0, 0.5 * np.pi),
             rolls=(0.0,), keep_clear=0.0, spacing=0.0, keep_out=(), keep_in=(), regions=(),
@@ -508,7 +506,7 @@ def model_of(document: Document, keys: Way) -> CameraModel:
         # The defaults of the parameters that need not be given.
         preset = CameraModel()
     elif sensor == OMNIDIRECTIONAL:
-        preset, = RigConfig(cameras=1).models
+        preset = RigConfig().model
     else:
         preset = SENSORS[sensor].model
     low = given.get('min_range', preset.min_range)

@@ -168,9 +168,6 @@ class CameraPlacementEnv(gym.Env):
         if not 1 <= self.fewest <= cameras:
             raise ValueError(f'fewest: found {self.fewest}; expected 1 to {cameras}')
         self._check_rig()
-        if self.fewest < cameras and len(set(self.rig.models)) > 1:
-            raise ValueError(f'fewest: found {self.fewest} with several kinds of camera; expected '
-                             f'{cameras}: which of them would be left out?')
         self.axes = self.rig.axes
         self.action_space = spaces.Box(-1.0, 1.0, (cameras, len(self.axes)), np.float32)
         self.observation_space = observation_space_of(cameras, observation_points,

@@ -246,8 +246,7 @@ class PlaneProblem(Problem):
         self.objective = Objective(simulator, rig)
         self.simulator, self.rig = simulator, rig
         self.axes, self.fixed_poses = rig.axes, rig.fixed_poses
-        # The simulator has one model for all cameras, or one for each camera.
-        self.models = simulator.models * (len(rig.cameras) // len(simulator.models))
+        self.models = rig.models
         #: Cached feasible regions, by the distances to walls and surfaces, metres.
         self._spaces: dict[tuple[float, float], FreePlane] = {}
 
@@ -255,7 +254,7 @@ class PlaneProblem(Problem):
         """Return the same problem with another range of the cameras, metres."""
         config = self.simulator.config
         config = replace(config, rig=replace(config.rig, max_range=max_range))
-        other = PlaneProblem(self.simulator.with_models(config.rig.models, config))
+        other = PlaneProblem(self.simulator.with_models([config.rig.model], config))
         other._spaces = self._spaces
         return other
 
@@ -280,7 +279,7 @@ class PlaneProblem(Problem):
             if key not in self._spaces:
                 self._spaces[key] = space_of(simulator, cameras, config)
             poses[:, :2] = self._spaces[key].inside(poses[:, :2])
-        poses[:, 3:] = outwards(cameras, simulator.config.rig.tilt)
+        poses[:, 3:] = outwards(cameras)
         return poses
 
     def reached_poses(self, poses: np.ndarray, targets: np.ndarray, config: EpisodeConfig

@@ -133,7 +133,7 @@ class Simulator:
         self.scene, self.config = scene, config
         #: For each of Q requirements, the limits of each of the models.
         self.limits: tuple[tuple[QualityLimits, ...], ...] = ()
-        self._set_models(config.rig.models if models is None else models)
+        self._set_models((config.rig.model,) if models is None else models)
         self.height = float(scene.bounds[0, 2] + config.rig.height)
         if models is None and self.height >= scene.bounds[1, 2]:
             raise SceneError(

@@ -154,12 +154,6 @@ class TrainingConfig:
             raise ConfigurationError(
                 f'fewest_cameras: found {self.fewest_cameras} with simulation.rig.cameras '
                 f'{len(rig.cameras)}; expected no more than these')
-        if rig.free and (len(rig.placed_models) > 1
-                         or not rig.placed_models[0].omnidirectional):
-            raise ConfigurationError(
-                f'simulation.rig.sensors: found {self.simulation.rig.sensors!r}; expected '
-                'omnidirectional: a policy learns positions, and policy_node chooses the headings '
-                'of all other cameras')
         for count in (self.fewest_cameras, len(rig.cameras)):
             self.agent.check_cameras(count)
 

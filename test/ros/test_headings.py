@@ -30,6 +30,7 @@ from ocp_ros.geometry.cameras import (
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.geometry.packed_bits import Subset
 from ocp_ros.rig.rig_config import RigConfig
+from ocp_ros.rig.sensors import SENSORS
 from ocp_ros.ros.interface import qos, topics
 from ocp_ros.ros.interface.conversions import (
     cloud_to_msg,
@@ -205,10 +206,11 @@ def test_who_moves_cameras_by_hand_is_told_how_to_turn_them(graph, probe, rig_fi
 
 
 def test_live_cameras_are_turned_and_waited_for(graph, probe, rig_file, room):
-    config = SimulationConfig(
-        RigConfig(cameras=2, sensors='realsense_d455', tilt=0.3),
-        EngineConfig('fast', 32, 0.5), EpisodeConfig(turns=1000))
-    episode = Episode(PlaneProblem(Simulator(room, config)), np.random.default_rng(0))
+    config = SimulationConfig(RigConfig(cameras=2), EngineConfig('fast', 32, 0.5),
+                              EpisodeConfig(turns=1000))
+    # Cameras that go wherever they are sent.
+    simulator = Simulator(room, config, [SENSORS['realsense_d455'].model] * 2)
+    episode = Episode(PlaneProblem(simulator), np.random.default_rng(0))
     # Both look the same way.
     first = episode.move(np.zeros((2, 2)), np.tile([0.5, 0.3, 0.0], (2, 1)))
     probe.listen(PoseArray, topics.PLACEMENT, qos.LATCHED)
@@ -275,10 +277,9 @@ def test_a_simulated_rig_ends_better_where_it_turns_and_stays_within_the_limits(
 
 
 def test_a_simulation_turns_cameras_as_commanded_and_shows_what_they_then_see(
-        graph, probe, capfd):
+        graph, probe, rig_file, capfd):
     probe.listen(PoseArray, topics.CAMERA_POSES, qos.LOOP)
-    node = graph.add(SimNode, rig__sensors='realsense_d455, omnidirectional', rig__cameras=2,
-                     rig__tilt=0.3, **SMALL)
+    node = graph.add(SimNode, rig_file=rig_file(MIXED.split('fixed')[0]), **SMALL)
     commands = probe.publisher(PoseArray, topics.CAMERA_COMMANDS, qos.LOOP)
 
     def play(message):

@@ -73,8 +73,11 @@ def fields_of(loop):
     return msg_to_fields(loop.last(topics.REWARD), topics.REWARD_FIELDS)
 
 
-def test_poses_say_how_the_cameras_are_turned(loop):
-    loop.start(rig__sensors='azure_kinect_wfov', rig__tilt=0.5)
+def test_poses_say_how_the_cameras_are_turned(loop, tmp_path):
+    path = tmp_path / 'rig.yaml'
+    path.write_text(f'cameras: [{{sensor: azure_kinect_wfov, count: 4}}]\n'
+                    f'pitch: [{np.rad2deg(0.5)}, 60]')
+    loop.start(rig_file=str(path))
     poses = loop.last(topics.CAMERA_POSES).poses
     assert len(poses) == 4
     for yaw, pose in zip(np.arange(4) * np.pi / 2, poses):

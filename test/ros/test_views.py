@@ -54,8 +54,15 @@ def values_of(cloud):
     return np.ndarray(cloud.width, kind, bytes(cloud.data), field.offset, (cloud.point_step,))
 
 
-def test_the_simulation_shows_what_the_cameras_truly_see_and_miss(graph, probe):
-    sim = graph.add(SimNode, rig__sensors='realsense_d455', rig__tilt=0.3, **SMALL)
+@pytest.fixture
+def rig_file(tmp_path):
+    """Return a rig file of six cameras that look one way."""
+    (tmp_path / 'rig.yaml').write_text('cameras: [{sensor: realsense_d455, count: 6}]')
+    return str(tmp_path / 'rig.yaml')
+
+
+def test_the_simulation_shows_what_the_cameras_truly_see_and_miss(graph, probe, rig_file):
+    sim = graph.add(SimNode, rig_file=rig_file, **SMALL)
     for topic in TRUE_CLOUDS:
         probe.listen(PointCloud2, topic, qos.LATCHED)
     probe.listen(CameraInfo, topics.camera_info_topic(1), qos.LATCHED)
@@ -75,8 +82,8 @@ def test_the_simulation_shows_what_the_cameras_truly_see_and_miss(graph, probe):
 
 
 @pytest.mark.parametrize(('given', 'prefix'), [({}, 'rig_a/'), ({'frame_prefix': 'b_'}, 'b_')])
-def test_frames_of_two_rigs_have_different_names(graph, probe, given, prefix):
-    graph.add(partial(SimNode, namespace='rig_a'), rig__sensors='realsense_d455', **SMALL, **given)
+def test_frames_of_two_rigs_have_different_names(graph, probe, rig_file, given, prefix):
+    graph.add(partial(SimNode, namespace='rig_a'), rig_file=rig_file, **SMALL, **given)
     topic = f'rig_a/{topics.camera_info_topic(1)}'
     probe.listen(CameraInfo, topic, qos.LATCHED)
     assert probe.last(topic).header.frame_id == f'{prefix}camera_1_optical'

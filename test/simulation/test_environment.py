@@ -22,11 +22,13 @@ from conftest import for_any, made_room
 from gymnasium.utils.env_checker import check_env
 from hypothesis import strategies as st
 import numpy as np
+from ocp_ros.geometry.cameras import CameraModel
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.geometry.packed_bits import pack, Subset
 from ocp_ros.rig.motion import bounded_moves, kept_inside
 from ocp_ros.rig.rig_config import RigConfig
 from ocp_ros.rig.rig_file import rig_of
+from ocp_ros.rig.sensors import SENSORS
 from ocp_ros.scenes.scene import Scene, SceneError
 from ocp_ros.simulation.environment import CameraPlacementEnv
 from ocp_ros.simulation.episode import Episode, potential, reward, Value
@@ -66,9 +68,10 @@ def few(room):
     return two_rooms(room, fewest=1, rotations=(0.0, 30.0, 60.0, 90.0))
 
 
-def simulator_of(room, **rig):
-    """Return the engine for a rig of other cameras."""
-    return Simulator(room, replace(SMALL, rig=RigConfig(**rig)))
+def problem_of(room, cameras, sensor, **more):
+    """Return the problem of cameras that look one way, on a plane."""
+    return Problem.of(room, rig_of(cameras, sensor, mount={'on': 'plane', 'height': 1.9}, **more),
+                      SMALL)
 
 
 def episode_in(simulator, seed=0):
@@ -213,9 +216,10 @@ def test_cameras_start_near_the_centre_at_their_height_above_the_floor(room):
 
 
 def test_cameras_are_turned_with_a_move_and_stay_so(room):
-    simulator = simulator_of(room, cameras=2, sensors='realsense_d455', tilt=0.2)
-    episode = episode_in(simulator)
-    moves, headings = np.array([[0.1, 0.0], [0.0, 0.2]]), np.array([[1, 0.3, 0], [2, 0.1, 0.2]])
+    problem = problem_of(room, 2, 'realsense_d455', pitch=[0, 60])
+    simulator, episode = problem.simulator, Episode(problem, np.random.default_rng(0))
+    moves = np.array([[0.1, 0.0, 0.0], [0.0, 0.2, 0.0]])
+    headings = np.array([[1, 0.3, 0], [2, 0.1, 0.2]])
     before = episode.turn.headings
     np.testing.assert_array_equal(episode.move(moves).headings, before)
     turn = episode.move(moves, headings)
@@ -230,7 +234,8 @@ def test_cameras_are_turned_with_a_move_and_stay_so(room):
 
 
 def test_each_camera_of_a_mixed_rig_sees_with_its_own_model(room):
-    simulator = simulator_of(room, cameras=2, sensors='omnidirectional, realsense_d435')
+    simulator = Simulator(room, SMALL, [CameraModel(max_range=4.0),
+                                        SENSORS['realsense_d435'].model])
     middle = np.append(room.bounds.mean(axis=0)[:2], 1.9)
     whole, part = (seen_by(simulator, middle, k) for k in (0, 1))
     x, y, _ = (room.points - middle).T
@@ -243,8 +248,8 @@ def test_each_camera_of_a_mixed_rig_sees_with_its_own_model(room):
 
 
 def test_the_cameras_of_an_episode_look_outwards(room):
-    simulator = simulator_of(room, cameras=4, sensors='azure_kinect_wfov', tilt=0.4)
-    turn = episode_in(simulator).turn
+    problem = problem_of(room, 4, 'azure_kinect_wfov', pitch=[20, 60])
+    simulator, turn = problem.simulator, Episode(problem, np.random.default_rng(0)).turn
     np.testing.assert_allclose(np.rad2deg(turn.headings[:, 0]), [0, 90, 180, 270])
     outwards, alike = (simulator.evaluate(np.hstack([turn.positions, headings]))
                        for headings in (turn.headings, 0.0 * turn.headings))
@@ -254,8 +259,9 @@ def test_the_cameras_of_an_episode_look_outwards(room):
 
 @pytest.mark.parametrize('preset', ['fine', 'fast', 'paper', 'mesh'])
 def test_a_rig_sees_in_one_call_what_its_cameras_see_one_by_one(room, preset):
-    rig = RigConfig(cameras=3, sensors='omnidirectional, realsense_d435, azure_kinect_wfov')
-    simulator = Simulator(room, SimulationConfig(rig, EngineConfig(preset)))
+    simulator = Simulator(room, SimulationConfig(engine=EngineConfig(preset)), [
+        CameraModel(max_range=4.0), SENSORS['realsense_d435'].model,
+        SENSORS['azure_kinect_wfov'].model])
     poses = np.array([[*room.bounds.mean(axis=0), yaw, 0.3, 0.1] for yaw in (0.2, -2.0, 3.0)])
     together = simulator.look_from_all(poses[::-1], [2, 1, 0])[::-1]
     for camera, (pose, view) in enumerate(zip(poses, together, strict=True)):
