@@ -184,7 +184,8 @@ def test_every_cheap_command_in_the_documentation_runs(command, tmp_path, monkey
 
 def test_every_sentence_of_the_troubleshooting_is_still_in_the_code():
     text = ''.join((DOCS / 'tasks' / page).read_text()
-                   for page in ('troubleshooting.md', 'troubleshooting_nodes.md'))
+                   for page in ('troubleshooting.md', 'troubleshooting_nodes.md',
+                                'troubleshooting_calibration.md'))
     quoted = re.findall(r'^\| `(.+?)` \|', text, re.M)
     assert len(quoted) > 15
     # Every text in the package's code, with dots for what is filled in.
