@@ -86,7 +86,7 @@ TABLES = [
     (MODELS, '| repairs', 'literal_60000_0 critics_60000_0 updates_60000_0 blocks_60000_0 '
      'augmented_60000_0 augmented_300000_0 wide_300000_0', 'ladder/rows/{row}/{key}',
      'interactions ratio least_ratio'),
-    (ROBUSTNESS, '| class |', 'E57 glTF OBJ PLY YAML text weights LAS bag cloud',
+    (SECURITY, '| class |', 'E57 glTF OBJ PLY YAML text weights LAS bag cloud',
      'hostile_files/classes/{row}/{key}', 'read refused')]
 #: Numbers in sentences: page, words around them, and where they are.
 SENTENCES = [
