@@ -116,8 +116,7 @@ def absent(page):
 
 #: A test of each format; of those that are read, by a name of their kind.
 PROOFS = {
-    'points (read)': 'test_every_format_gives_back_the_points_and_is_refused_where_it_is_spoilt',
-    'laser scans (read)': 'test_every_format_gives_back_the_points_and_is_refused_where_it_is_spoilt',
+    'scan (read)': 'test_every_format_gives_back_the_points_and_is_refused_where_it_is_spoilt',
     'mesh (read)': 'test_parts_of_a_scene_graph_stand_where_it_puts_them',
     'map (read)': 'test_every_way_to_write_a_map_has_the_same_walls',
     'measured room (read)': 'test_a_room_from_a_tape_measure_has_its_measures',
