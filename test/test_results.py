@@ -82,7 +82,7 @@ TABLES = [
      'low_ceiling stray_points plain_room thinned_scan las_units colours_first decimal_commas '
      'counting_column survey_table thousands ragged_lines gltf_extensions unit_in_comment splats',
      'rooms_read/kinds/{row}/{key}',
-     'after/right after/wrong before/right before/wrong'),
+     'after/right after/wrong'),
     (MODELS, '| repairs', 'literal_60000_0 critics_60000_0 updates_60000_0 blocks_60000_0 '
      'augmented_60000_0 augmented_300000_0 wide_300000_0', 'ladder/rows/{row}/{key}',
      'interactions ratio least_ratio'),
