@@ -106,8 +106,9 @@ class Table(NamedTuple):
 TABLES = {
     'guess': Table('First guess, with a scan', 'error of the first guess',
                    tuple(f'{metres:g} m, {degrees:g}°' for metres, degrees in GUESSES)),
-    'frames': Table('Frames, with a scan', 'frames', ('1', '5', str(FRAMES))),
-    'people': Table('People who walk about, with a scan', 'people in a frame', ('0', '1', '3')),
+    'frames': Table('Number of clouds, with a scan', 'clouds of a camera',
+                    ('1', '5', str(FRAMES))),
+    'people': Table('People who walk about, with a scan', 'people in a cloud', ('0', '1', '3')),
     'overlap': Table('Common points of two cameras, without a scan', 'points in common',
                      tuple(f'{100.0 * share:.0f} %' for share in OVERLAPS)),
     'box': Table('A camera that sees one bare wall, with a scan', 'remedy', ('none', '`--box`')),
@@ -276,7 +277,7 @@ def page_of(document: Mapping[str, Any]) -> str:
     intro = (
         'Cameras near the walls of generated rooms. One condition is changed at a time; the '
         f'others are a first guess that is wrong by {START[0]:g} m and {START[1]:g} degrees, '
-        f'{FRAMES} frames and {PEOPLE} person who walks about. Cameras without a scan have no '
+        f'{FRAMES} clouds and {PEOPLE} person who walks about. Cameras without a scan have no '
         'first guess. With a scan, *right* is a pose within 1 cm and 0.5 degrees, without one '
         f'within {100.0 * MUTUAL[0]:g} cm and {MUTUAL[1]:g} degrees of that relative to the other '
         'camera; *wrong* is an accepted pose with a larger error. The error is the median of the '
@@ -302,7 +303,7 @@ def page_of(document: Mapping[str, Any]) -> str:
     return '\n'.join([
         *lines, '## False alarms of `--against`', '',
         f'Of {checks["checks"]} checks of {checks["cameras"]} cameras that did not move, each '
-        f'with {CHECKED} new frames and other people, {checks["alarms"]} found a movement.', ''])
+        f'with {CHECKED} new clouds and other people, {checks["alarms"]} found a movement.', ''])
 
 
 def _rows_of(job: str, part: Callable[..., Iterator[dict]], *settings: int | str) -> list[dict]:

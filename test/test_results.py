@@ -66,14 +66,14 @@ TABLES = [
     (RESULTS, '| cameras, speed', ' '.join(
         f'{rig}.{case}' for rig in ('around', 'four_d455') for case in (
             'faster_than_thinking', 'slower_than_thinking', 'faster_and_waiting_for_plans')),
-     'nodes/value/{row}/{key}', 'wall_s/0 wall_s/1 processor_s/0 processor_s/1'),
+     'nodes/value/{row}/{key}', 'wall_s/0 wall_s/1'),
     (RESULTS, '| pixels, clouds per second', '640x480.5 640x480.15 1280x720.5 1280x720.15',
      'nodes/clouds/{row}/{key}',
      'clouds_per_s_of_a_camera turns_with_all_cameras cores memory_mb'),
     (RESULTS, '| area', '6 12 24', 'floors/floors/{row}/{key}',
-     'rooms cameras seen least_seen_in_a_room gap seconds processor_s'),
+     'rooms cameras seen least_seen_in_a_room gap seconds'),
     (RESULTS, '| counted on', '5_rooms 17_rooms', 'floors/counted/floors/{row}/{key}',
-     'rooms cameras at_least fewer_tried least_share_of_a_room seconds processor_s'),
+     'rooms cameras at_least fewer_tried least_share_of_a_room seconds'),
     (RESULTS, '| requirement',
      'recognise depth_15mm depth_4mm_incidence_75 two_from_30_degrees one_may_fail',
      'requirements/requirements/{row}/{key}',
@@ -82,11 +82,11 @@ TABLES = [
      'low_ceiling stray_points plain_room thinned_scan las_units colours_first decimal_commas '
      'counting_column survey_table thousands ragged_lines gltf_extensions unit_in_comment splats',
      'rooms_read/kinds/{row}/{key}',
-     'after/right after/wrong before/right before/wrong'),
+     'after/right after/wrong'),
     (MODELS, '| repairs', 'literal_60000_0 critics_60000_0 updates_60000_0 blocks_60000_0 '
      'augmented_60000_0 augmented_300000_0 wide_300000_0', 'ladder/rows/{row}/{key}',
      'interactions ratio least_ratio'),
-    (ROBUSTNESS, '| class |', 'E57 glTF OBJ PLY YAML text weights LAS bag cloud',
+    (SECURITY, '| class |', 'E57 glTF OBJ PLY YAML text weights LAS bag cloud',
      'hostile_files/classes/{row}/{key}', 'read refused')]
 #: Numbers in sentences: page, words around them, and where they are.
 SENTENCES = [
