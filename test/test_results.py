@@ -37,7 +37,7 @@ TABLES = [
     (RESULTS, '| method', 'fine fast paper hidden_point_removal', 'engine/{key}',
      'f1/{row}.15000 f1/{row}.40000 f1/{row}.100000 ms/{row}.40000'),
     (RESULTS, '| planner | regret',
-     'differential_evolution rig_search bee_colony greedy_swap tdsa cma_es '
+     'differential_evolution rig_search bee_colony cma_es greedy_swap tdsa '
      'bpso regular_grid random greedy_coverage',
      'benchmark/planners/{row}/{key}',
      '100/regret 1000/regret 1000/promise_over_delivered 1000/seconds'),
