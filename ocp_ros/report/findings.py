@@ -70,7 +70,8 @@ def evaluate_placement(problem: Problem, poses: np.ndarray) -> dict[str, Any]:
     rig_angles = np.rad2deg([*problem.rig.pitch, *problem.rig.rolls]).tolist()
     return {'scores': scores, 'broken': broken_by(problem.region, poses, scores), **improvement,
             'expected': expected(scores['validation_error'], scores['depth_error_of_nothing'],
-                                 gaps_of(scene), scores['unscanned_error']),
+                                 gaps_of(scene), scores['unscanned_error'],
+                                 problem.rig.mount.on == 'ceiling'),
             'notes': [*problem.region.fixed_notes(),
                       *angle_notes(fixed_angles, problem.rig.models),
                       *angle_notes(rig_angles), *room_notes(scene),
@@ -359,23 +360,20 @@ def gaps_of(scene: Scene) -> tuple[str, ...]:
     return (*missing_surfaces(scene), *(('sparse',) if sparse else ()))
 
 
-def ratios_for(error: float, worst: float, missing: Sequence[str]) -> list[float]:
+def ratios_for(missing: Sequence[str], under_ceiling: bool) -> list[float]:
     """
     Return the low, the median and the high ratio of the error in the room to that on the scan.
 
     The ratios are those of both errors plus the offset of the table, see :func:`expected`. In nine
     of ten rooms the ratio was between the low and the high one.
 
-    :param error: depth error on the scan, metres.
-    :param worst: depth error without any visible point, metres.
     :param missing: what the scan lacks, from :func:`gaps_of`.
+    :param under_ceiling: whether the cameras hang under the ceiling.
     """
     table = _ratio_table()
-    # A level begins where the error is the share ``from`` of the worst error.
-    number = np.searchsorted([level['from'] for level in table['levels']], error / worst,
-                             side='right')
     rows = [table[name]['ratios'] for name in missing if name in table and name != 'sparse']
-    low, median, high = (rows or [table['levels'][max(int(number) - 1, 0)]['ratios']])[0]
+    mount = 'mount_ceiling' if under_ceiling else 'mount_others'
+    low, median, high = (rows or [table[mount]['ratios']])[0]
     if 'sparse' not in missing:
         return [low, median, high]
     # Sparse scans add to the other doubts.
@@ -383,8 +381,8 @@ def ratios_for(error: float, worst: float, missing: Sequence[str]) -> list[float
     return [min(low, sparse[0]), max(median, sparse[1]), max(high, sparse[2])]
 
 
-def expected(error: float, worst: float, missing: Sequence[str] = (), unscanned: float = 0.0
-             ) -> dict[str, float]:
+def expected(error: float, worst: float, missing: Sequence[str] = (), unscanned: float = 0.0,
+             under_ceiling: bool = False) -> dict[str, float]:
     """
     Return the depth error that a placement is expected to have in the room itself.
 
@@ -392,10 +390,12 @@ def expected(error: float, worst: float, missing: Sequence[str] = (), unscanned:
     :param worst: depth error without any visible point, metres.
     :param missing: what the scan lacks, from :func:`gaps_of`.
     :param unscanned: depth error of what the scan does not show, if no camera sees it, metres.
+    :param under_ceiling: whether the cameras hang under the ceiling: they see more than a scan
+        proves.
     :returns: ``depth_error``, ``low`` and ``high``, metres; in nine of ten rooms the error was
         between ``low`` and ``high``. ``sparse`` is true if the scan is, which makes them wide.
     """
-    table, ratios = _ratio_table(), ratios_for(error, worst, missing)
+    table, ratios = _ratio_table(), ratios_for(missing, under_ceiling)
     # The ratios are those of both errors plus an offset, since ratios of small errors say little.
     offset, missed = table['offset'] * worst, error + table['unscanned'] * unscanned
     low, median, high = (float(np.clip(ratio * (missed + offset) - offset, 0.0, worst + unscanned))

@@ -174,7 +174,8 @@ class Evaluation:
         """Return the depth error to expect in the real room, and its interval, metres."""
         simulator = self.problem.simulator
         return expected(self.rig_scores['validation_error'], simulator.depth_error.worst,
-                        gaps_of(simulator.scene), self.rig_scores['unscanned_error'])
+                        gaps_of(simulator.scene), self.rig_scores['unscanned_error'],
+                        self.problem.rig.mount.on == 'ceiling')
 
     def points_seen_by(self, camera: int) -> np.ndarray:
         """Return whether a camera sees each point: (N,) bool."""

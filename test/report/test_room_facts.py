@@ -166,7 +166,7 @@ def test_a_share_of_what_was_not_scanned_counts_as_missed():
     assert (np.array(at) < 2.6).all()
     missed = partial['scores']['unscanned_error']
     without = expected(partial['scores']['validation_error'],
-                       partial['scores']['depth_error_of_nothing'])
+                       partial['scores']['depth_error_of_nothing'], under_ceiling=True)
     assert 0.4 * missed < partial['expected']['depth_error'] - without['depth_error'] < missed
     assert partial['expected']['low'] > without['low']
 
@@ -185,4 +185,10 @@ def test_a_sparse_scan_widens_what_is_expected():
         assert wide['low'] <= wide['depth_error'] <= wide['high']
         remarks = [score_figures(SCORES, one)[1].remark for one in (narrow, wide)]
         assert ['scan more densely' in remark for remark in remarks] == [False, True]
-    assert wide['low'] < 0.8 * narrow['low'] and wide['high'] > 1.1 * narrow['high']
+    assert wide['low'] < 0.8 * narrow['low']
+
+
+def test_cameras_under_the_ceiling_deliver_more_of_what_is_promised():
+    for error in (1.0, 5.0, 12.0):
+        others, under = (expected(error, 40.0, under_ceiling=below) for below in (False, True))
+        assert under['depth_error'] < others['depth_error'] and under['high'] < others['high']
