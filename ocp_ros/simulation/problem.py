@@ -245,8 +245,7 @@ class PlaneProblem(Problem):
         rig = Rig.plane(simulator.config.rig)
         self.objective = Objective(simulator, rig)
         self.simulator, self.rig = simulator, rig
-        self.axes, self.fixed_poses = rig.axes, rig.fixed_poses
-        self.models = rig.models
+        self.axes, self.models, self.fixed_poses = rig.axes, rig.models, rig.fixed_poses
         #: Cached feasible regions, by the distances to walls and surfaces, metres.
         self._spaces: dict[tuple[float, float], FreePlane] = {}
 
