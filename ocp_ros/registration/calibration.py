@@ -43,6 +43,7 @@ from ocp_ros.registration.camera_registration import (
     Registration,
 )
 from ocp_ros.registration.carried import carried_by, Seen
+from ocp_ros.registration.joint_alignment import with_distances
 from ocp_ros.registration.live_view import LiveView
 from ocp_ros.registration.movement import movements_since, sentence_of, way_back
 from ocp_ros.registration.mutual_registration import register_mutually
@@ -109,7 +110,9 @@ def calibrate(scan: ScanSurfaces, placement: Placement, clouds: Mapping[str, np.
         carried = carried_by({name: one for name, one in (seen or {}).items()
                               if used.get(name) is clouds.get(name)},
                              {name: models[name] for name in found})
-        found = register_together(scan, views, found, measured, carried)
+        alone = found
+        found, _ = with_distances(lambda left_out: (register_together(
+            scan, views, alone, measured, carried, left_out), {}), measured or {})
     return _with_exchanged(placement, found), reasons
 
 
@@ -307,8 +310,9 @@ def without_scan(clouds: Mapping[str, np.ndarray], sensor: str, command: str,
     models = {name: SENSORS[sensor].model if sensor else model_of_cloud(cloud)
               for name, cloud in clouds.items()}
     views, reasons = views_of(clouds, models)
-    found, failures = register_mutually(views, measured, carried=carried_by(
-        seen or {}, {name: models[name] for name in views}))
+    carried = carried_by(seen or {}, {name: models[name] for name in views})
+    found, failures = with_distances(lambda left_out: register_mutually(
+        views, measured, carried=carried, left_out=left_out), measured or {})
     reasons |= failures
     placed, rows, fused = [], [], []
     for name in clouds:
@@ -317,7 +321,8 @@ def without_scan(clouds: Mapping[str, np.ndarray], sensor: str, command: str,
             one = found[name]
             placed.append(placed_at(Camera(name, sensor, models[name]), _row_of(one.pose), 'free'))
             fused.append(views[name].points @ one.pose.rotation.T + one.pose.position)
-            row |= {'overlap': one.overlap, 'lead': one.lead, **_deviations(one.certainty),
+            row |= {'overlap': one.overlap, 'lead': one.lead, 'note': one.note,
+                    **_deviations(one.certainty),
                     **_pose_of(one.pose)}
         rows.append(row)
     if len(placed) < 2:

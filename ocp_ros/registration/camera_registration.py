@@ -26,7 +26,7 @@ the pose.
 A surface explains a point near its plane: fully at distance 0, less the farther away the point is.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -259,7 +259,8 @@ def depth_share(scan: ScanSurfaces, view: LiveView, pose: Pose, model: CameraMod
 def register_together(scan: ScanSurfaces, cameras: Mapping[str, tuple[LiveView, CameraModel]],
                       found: Mapping[str, Registration],
                       measured: Mapping[tuple[str, str], float] | None = None,
-                      carried: Mapping[str, Carried] | None = None) -> dict[str, Registration]:
+                      carried: Mapping[str, Carried] | None = None,
+                      left_out: Collection[tuple[str, str]] = ()) -> dict[str, Registration]:
     """
     Register cameras to the scan and to each other, after each has been registered alone.
 
@@ -271,6 +272,7 @@ def register_together(scan: ScanSurfaces, cameras: Mapping[str, tuple[LiveView, 
     :param found: the registration of each camera alone, by name.
     :param measured: measured distances between two cameras, metres, by their names.
     :param carried: what was set down in the views of the cameras, by name; of all or of none.
+    :param left_out: measured distances that are not used.
     :returns: the registrations, improved.
     """
     names = [name for name, one in found.items() if not one.mismatched]
@@ -278,7 +280,8 @@ def register_together(scan: ScanSurfaces, cameras: Mapping[str, tuple[LiveView, 
         return dict(found)
     views = [cameras[name][0] for name in names]
     poses = _agreeing_poses(views, [found[name] for name in names])
-    distances, carried = distances_between(names, measured or {}), carried or {}
+    measured, carried = measured or {}, carried or {}
+    distances = distances_between(names, measured, left_out)
     meetings = meetings_between(names, carried)
     for stage in (*((MEETING_STAGE, NEAR_STAGE) if meetings else ()),
                   AlignmentStage((0.1, 0.05), (3.0, 1.0), 10), FINEST_STAGE):
@@ -289,7 +292,8 @@ def register_together(scan: ScanSurfaces, cameras: Mapping[str, tuple[LiveView, 
             *distances, *(meetings if stage is MEETING_STAGE else ())])
     if meetings and is_contradicted(carried, dict(zip(names, views)), dict(zip(names, poses))):
         return {name: one._replace(refused=one.refused and one.refused + NOT_ALIKE)
-                for name, one in register_together(scan, cameras, found, measured).items()}
+                for name, one in register_together(
+                    scan, cameras, found, measured, left_out=left_out).items()}
     limits = FINEST_STAGE.max_distances[1], FINEST_STAGE.kernel_widths[1]
     pairs = overlapping_pairs(rig, poses, limits[0])
     constraints = all_constraints(rig, poses, pairs, *limits, distances)
@@ -309,7 +313,7 @@ def register_together(scan: ScanSurfaces, cameras: Mapping[str, tuple[LiveView, 
             answer = answer._replace(refused=answer.refused + advice(
                 name, certainty.slide_axes[0],
                 {other: pose.position for other, pose in zip(names, poses)},
-                [names[other] for camera, other in pairs if camera == k]))
+                [names[other] for camera, other in pairs if camera == k], measured))
         joint[name] = answer._replace(actual_setup=alone.actual_setup, note=alone.note)
     return joint
 

@@ -142,6 +142,7 @@ class MutualRegistration(NamedTuple):
     :ivar lead: the lead in agreement over the next distinct pose.
     :ivar certainty: the expected deviations against the first camera.
     :ivar refused: the reason why the pose must not be used; empty if it can be used.
+    :ivar note: what to check of a pose that is not refused; otherwise empty.
     """
 
     pose: Pose
@@ -149,6 +150,7 @@ class MutualRegistration(NamedTuple):
     lead: float
     certainty: Certainty
     refused: str
+    note: str = ''
 
 
 def floor_of(points: np.ndarray, normals: np.ndarray, deviation: np.ndarray
@@ -329,7 +331,8 @@ def _best_distinct(one: LevelView, other: LevelView, starts: Sequence[Pose]
 def register_mutually(views: Mapping[str, LiveView],
                       measured: Mapping[tuple[str, str], float] | None = None,
                       known: Mapping[str, Pose] | None = None,
-                      carried: Mapping[str, Carried] | None = None
+                      carried: Mapping[str, Carried] | None = None,
+                      left_out: Collection[tuple[str, str]] = ()
                       ) -> tuple[dict[str, MutualRegistration], dict[str, str]]:
     """
     Register cameras to each other.
@@ -338,6 +341,7 @@ def register_mutually(views: Mapping[str, LiveView],
     :param measured: measured distances between two cameras, metres, by their names.
     :param known: poses of some cameras, which keep them; all poses are then in their frame.
     :param carried: what was set down in the views of the cameras, by name; of all or of none.
+    :param left_out: measured distances that are not used.
     :returns: the registrations of the cameras without a known pose, and the reasons why cameras
         have none, by name. In the frame of the poses, unless some are known, z is up and 0 on the
         floor, x is along the walls, and the lowest corner of what all cameras see is the origin.
@@ -346,6 +350,7 @@ def register_mutually(views: Mapping[str, LiveView],
     level = {name: one for name, view in views.items() if (one := LevelView.of(view)) is not None}
     reasons = {name: 'it sees no floor; tilt it down' for name in views if name not in level}
     names, measured, carried = list(level), measured or {}, carried or {}
+    used = {pair: metres for pair, metres in measured.items() if pair not in left_out}
     met = {(names[one.camera], names[one.other]): one for one in meetings_between(names, carried)}
     links = {(a, b): pair_poses(level[a], level[b], met.get((a, b))) for k, a in enumerate(names)
              for b in names[k + 1:] if a not in known or b not in known}
@@ -355,7 +360,7 @@ def register_mutually(views: Mapping[str, LiveView],
     reasons |= {name: 'it agrees with no other camera: too little of what it sees is seen by '
                 'others; turn it to what another one sees' for name in names if name not in poses}
     if poses.keys() <= known.keys():
-        return _without_box(views, measured, known) if met else ({}, reasons)
+        return _without_box(views, measured, known, left_out) if met else ({}, reasons)
     while True:
         totals = {name: _total(level, poses, name, poses[name]) for name in poses}
         anchors = [name for name in poses if name in known] or [
@@ -363,7 +368,7 @@ def register_mutually(views: Mapping[str, LiveView],
         rig = {name: RigCamera.of(views[name].patches,
                                   carried=carried[name][:2] if carried else None)
                for name in poses}
-        joint = _registered(rig, poses, anchors, measured, carried)
+        joint = _registered(rig, poses, anchors, used, carried)
         # A camera at a wrong pose also moves the others.
         contradicted = {name: _contradicted(level, joint, name) for name in joint
                         if name not in known}
@@ -379,7 +384,7 @@ def register_mutually(views: Mapping[str, LiveView],
             return {}, reasons | dict.fromkeys(
                 poses.keys() - known.keys(), 'no other camera is left that agrees with it')
     if carried and is_contradicted(carried, views, joint):
-        return _without_box(views, measured, known)
+        return _without_box(views, measured, known, left_out)
     leads = {name: _lead(level, links, rig, poses, joint, name, carried) for name in joint
              if name not in known}
     if not known:
@@ -388,7 +393,7 @@ def register_mutually(views: Mapping[str, LiveView],
                                    JOINT_STAGES[-1].kernel_widths[1])
     ordered, at = list(rig.values()), list(joint.values())
     pairs = overlapping_pairs(ordered, at, limits[0])
-    constraints = all_constraints(ordered, at, pairs, *limits, distances_between(placed, measured))
+    constraints = all_constraints(ordered, at, pairs, *limits, distances_between(placed, used))
     found = {}
     for name, certainty in zip(placed, certainties(
             constraints, placed, [placed.index(name) for name in anchors], at)):
@@ -398,17 +403,17 @@ def register_mutually(views: Mapping[str, LiveView],
         if refused and certainty.metres[0] > MUTUAL_LIMITS.max_metres:
             refused += advice(name, certainty.slide_axes[0],
                               {other: pose.position for other, pose in joint.items()},
-                              [placed[b] for a, b in pairs if placed[a] == name])
+                              [placed[b] for a, b in pairs if placed[a] == name], measured)
         found[name] = MutualRegistration(joint[name], totals[name], leads[name], certainty,
                                          refused)
     return found, reasons
 
 
 def _without_box(views: Mapping[str, LiveView], measured: Mapping[tuple[str, str], float],
-                 known: Mapping[str, Pose]
+                 known: Mapping[str, Pose], left_out: Collection[tuple[str, str]]
                  ) -> tuple[dict[str, MutualRegistration], dict[str, str]]:
     """Register cameras without what was set down, and say so; see :func:`register_mutually`."""
-    found, reasons = register_mutually(views, measured, known)
+    found, reasons = register_mutually(views, measured, known, left_out=left_out)
     return ({name: one._replace(refused=one.refused and one.refused + NOT_ALIKE)
              for name, one in found.items()},
             {name: reason + NOT_ALIKE for name, reason in reasons.items()})

@@ -27,11 +27,12 @@ from ocp_ros.geometry.cameras import (
     TO_BODY,
 )
 from ocp_ros.registration import mutual_registration
-from ocp_ros.registration.alignment import AlignmentStage, Patches
+from ocp_ros.registration.alignment import AlignmentStage, Certainty, Patches
 from ocp_ros.registration.calibration import (
     calibrate_mutually,
     model_of_cloud,
     since_reference,
+    without_scan,
 )
 from ocp_ros.registration.joint_alignment import (
     advice,
@@ -42,10 +43,15 @@ from ocp_ros.registration.joint_alignment import (
     joint_poses,
     relative_pose,
     RigCamera,
+    with_distances,
 )
 from ocp_ros.registration.live_view import LiveView
 from ocp_ros.registration.movement import Movement, movement_since, way_back
-from ocp_ros.registration.mutual_registration import LevelView, register_mutually
+from ocp_ros.registration.mutual_registration import (
+    LevelView,
+    MutualRegistration,
+    register_mutually,
+)
 from ocp_ros.registration.steady_cloud import steady_cloud
 from ocp_ros.rig.placement_file import load_placement, placement_of
 from ocp_ros.rig.rig_file import rig_of
@@ -262,6 +268,47 @@ def test_a_measured_distance_holds_a_camera_along_it():
     assert '--distance a:b=METRES' in advice('a', np.array([1.0, 0.0, 0.0]), places)
     assert advice('a', np.array([0.0, 0.0, 1.0]), places) == ''
     assert advice('a', np.array([0.0, 0.0, 1.0]), places, ['c']).endswith('c sees it too (--box)')
+
+
+@pytest.mark.parametrize('wrong', [0.0, 0.02])
+def test_a_wrong_distance_between_cameras_that_the_clouds_hold_moves_none(clouds, wrong):
+    free = without_scan(clouds, SENSOR, '').rows
+    true = np.linalg.norm(TRUE[0].position - TRUE[1].position)
+    rows = without_scan(clouds, SENSOR, '', {('cam_0', 'cam_1'): true + wrong}).rows
+    assert [row['refused'] for row in rows] == ['', '', '']
+    assert [row['position'] for row in rows] == [row['position'] for row in free]
+    by_clouds = np.linalg.norm(np.subtract(free[0]['position'], free[1]['position']))
+    for row, named in zip(rows, [wrong > 0.0, wrong > 0.0, False]):
+        assert bool(row['note']) == named
+        assert not named or all(f'{metres:.3f} m' in row['note']
+                                for metres in (true + wrong, by_clouds))
+
+
+@pytest.mark.parametrize('wrong, accepted', [(0.0, True), (0.3, True), (0.0, False), (0.3, False)])
+def test_a_distance_that_holds_a_camera_is_used_and_is_not_asked_for_again(wrong, accepted):
+    # The clouds hold the camera b to 3 cm along x alone.
+    loose = Certainty(np.eye(3), np.array([0.03, 0.0, 0.0]), np.eye(3), np.zeros(3),
+                      covariance=np.diag([0.0, 0.0, 0.0, 9e-4, 0.0, 0.0]))
+    held = loose._replace(covariance=np.zeros((6, 6)))
+
+    def register(left_out):
+        """Return both cameras as without the distance, or as with it."""
+        x, why = (1.0, 'it may slide') if left_out else (
+            1.0 + wrong, '' if accepted else 'it may slide')
+        return {name: MutualRegistration(Pose(np.array([at, 0.0, 0.0]), np.eye(3)), 1.0, 1.0,
+                                         certainty, refused)
+                for name, at, certainty, refused in (
+                    ('a', 0.0, held, ''), ('b', x, loose if left_out else held, why))}, {}
+
+    found, _ = with_distances(register, {('a', 'b'): 1.0 + wrong})
+    assert found['b'].pose.position[0] == 1.0 + wrong and bool(found['b'].refused) != accepted
+    said = found['b'].note if accepted else found['b'].refused
+    assert ('1.300 m' in said and '1.000 m' in said) == (wrong > 0.0)
+    # Nor is it asked for where it was measured already.
+    places = {'a': np.zeros(3), 'b': np.array([1.0, 0.0, 0.0]), 'c': np.array([2.0, 0.2, 0.0])}
+    assert 'b:a=' in advice('b', np.eye(3)[0], places)
+    assert 'b:c=' in advice('b', np.eye(3)[0], places, (), [('a', 'b')])
+    assert advice('b', np.eye(3)[0], places, (), [('a', 'b'), ('b', 'c')]) == ''
 
 
 @pytest.mark.parametrize('arguments, words', [
