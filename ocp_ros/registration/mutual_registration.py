@@ -69,6 +69,9 @@ TURNS, SHIFTS, KEPT = 8, 8, 4
 BEAM = 3
 #: Metres and radians: likely poses of a camera that differ by more than either are not the same.
 APART = 0.2, np.deg2rad(6.0)
+#: From body axes to those of a camera upside down, and the sines of how much a floor is tilted to
+#: one side: of a doubtful one at least, and of one below a camera upside down at most.
+UPSIDE_DOWN, MAX_TILTS = np.diag([1.0, -1.0, -1.0]), (0.26, 0.09)
 #: How all cameras are registered together.
 JOINT_STAGES = NEAR_STAGE, AlignmentStage((0.1, 0.06), (3.0, 1.5), 16)
 
@@ -116,13 +119,47 @@ class LevelView(NamedTuple):
         """Compare what two cameras see, without floor and ceiling."""
         return comparison(self.view, pose, other.view, other_pose, self.telling, other.telling)
 
+    @property
+    def is_turned(self) -> bool:
+        """Return whether the camera hangs upside down."""
+        return bool(self.pose.rotation[2, 2] < 0.0)
+
+    @property
+    def may_be_turned(self) -> bool:
+        """Return whether what is taken as the floor may be the ceiling."""
+        more_tops, highest = self._tops
+        return more_tops < -0.01 and self.pose.position[2] < 0.5 * highest
+
+    @property
+    def _tops(self) -> tuple[float, float]:
+        """Return the share of tops of things, less that of undersides, and the largest height."""
+        height = self.view.patches.points @ self.pose.rotation[2] + self.pose.position[2]
+        up = self.view.patches.normals @ self.pose.rotation[2]
+        highest = float(np.percentile(height, 99.5))
+        return (float(np.mean((up > 0.8) & (height > BANDS[0][0])) - np.mean(
+            (up < -0.8) & (height > BANDS[0][0]) & (height < highest - BANDS[0][0]))), highest)
+
     @classmethod
     def of(cls, view: LiveView) -> 'LevelView | None':
-        """Find the floor in a view; None if there is none."""
-        floor = floor_of(view.patches.points, view.patches.normals, view.patches.deviation)
+        """Find the floor in a view, also of a camera upside down; None if there is none."""
+        upright, turned = cls._on_floor(view, np.eye(3)), cls._on_floor(view, UPSIDE_DOWN)
+        if turned is None or turned.may_be_turned:
+            return upright
+        # Of a camera upside down, the ceiling or a wall may look like a floor. A wall is tilted to
+        # one side.
+        tilts = [abs(one.pose.rotation[2, 1]) if one else 1.0 for one in (upright, turned)]
+        is_turned = upright is not None and upright.may_be_turned or (
+            tilts[0] > MAX_TILTS[0] and tilts[1] < MAX_TILTS[1] and turned._tops[0] > 0.0)
+        return turned if is_turned else upright
+
+    @classmethod
+    def _on_floor(cls, view: LiveView, turn: np.ndarray) -> 'LevelView | None':
+        """Find the floor in a view after a turn (3, 3) of its axes; None if there is none."""
+        points, normals, deviation = view.patches
+        floor = floor_of(points @ turn.T, normals @ turn.T, deviation)
         if floor is None:
             return None
-        normal, height = floor
+        normal, height = floor[0] @ turn, floor[1]
         ahead = np.array([1.0, 0.0, 0.0]) - normal[0] * normal
         ahead /= np.linalg.norm(ahead)
         pose = Pose(np.array([0.0, 0.0, height]),
@@ -348,7 +385,8 @@ def register_mutually(views: Mapping[str, LiveView],
     """
     known = known or {}
     level = {name: one for name, view in views.items() if (one := LevelView.of(view)) is not None}
-    reasons = {name: 'it sees no floor; tilt it down' for name in views if name not in level}
+    reasons = {name: 'it sees no floor; tilt it down, or if it hangs upside down, turn its '
+               'images by 180 degrees' for name in views if name not in level}
     names, measured, carried = list(level), measured or {}, carried or {}
     used = {pair: metres for pair, metres in measured.items() if pair not in left_out}
     met = {(names[one.camera], names[one.other]): one for one in meetings_between(names, carried)}
@@ -405,7 +443,7 @@ def register_mutually(views: Mapping[str, LiveView],
                               {other: pose.position for other, pose in joint.items()},
                               [placed[b] for a, b in pairs if placed[a] == name], measured)
         found[name] = MutualRegistration(joint[name], totals[name], leads[name], certainty,
-                                         refused)
+                                         refused, '' if refused else _note_of(level[name]))
     return found, reasons
 
 
@@ -525,6 +563,18 @@ def _levelled(level: Sequence[LevelView], poses: Sequence[Pose]) -> list[Pose]:
     floor = np.mean([pose.position[2] - one.pose.position[2] for one, pose in zip(level, poses)])
     origin = np.append(np.percentile(points[:, :2], 0.2, axis=0), floor)
     return [Pose(pose.position - origin, pose.rotation) for pose in poses]
+
+
+def _note_of(level: LevelView) -> str:
+    """Return what to check of the floor in an accepted view; empty if it is certain."""
+    if level.is_turned:
+        return ('it hangs upside down by the floor and the tops that it sees; if it does not, '
+                'correct the axes of its cloud (--cloud-frame)')
+    if level.may_be_turned:
+        return (f'what was taken as the floor, {level.pose.position[2]:.1f} m below it, may be '
+                'the ceiling: more level surfaces face down than up; if it hangs upside down, '
+                'turn its images by 180 degrees')
+    return ''
 
 
 def _refusal(total: float, lead: float, certainty: Certainty) -> str:

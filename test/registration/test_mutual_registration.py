@@ -112,6 +112,35 @@ def test_cameras_find_each_other_and_one_of_another_room_is_refused(clouds):
     assert heights == pytest.approx([2.2] * 3, abs=0.02)
 
 
+def test_cameras_upside_down_are_placed_upside_down_and_named(clouds):
+    upside_down = np.diag([1.0, -1.0, -1.0])
+    turned = {name: cloud @ upside_down for name, cloud in clouds.items()}
+    found = without_scan({**turned, 'cam_0': clouds['cam_0']}, SENSOR, '')
+    poses = [Pose.of(placed.pose) for placed in found.placement.cameras]
+    assert ['upside down' in row['note'] for row in found.rows] == [False, True, True]
+    for k in (1, 2):
+        true = Pose(TRUE[k].position, TRUE[k].rotation @ upside_down)
+        assert_near(relative_pose(poses[k], poses[0]), relative_pose(true, TRUE[0]), 0.02, 0.7)
+    assert [pose.position[2] for pose in poses] == pytest.approx([2.2] * 3, abs=0.02)
+
+
+def test_a_ceiling_that_may_be_the_floor_is_no_certain_floor():
+    # A camera upside down sees the ceiling, and shelves and the floor above that.
+    x, y = (axis.ravel() for axis in np.meshgrid(np.linspace(1.0, 4.0, 90),
+                                                 np.linspace(-1.5, 1.5, 90)))
+    for turn in (np.eye(3), np.diag([1.0, -1.0, -1.0])):
+        shelf = (np.abs(x - 2.5) < 0.3) & (np.abs(y) < 0.7)
+        z = np.where(shelf, -1.0, -1.9)
+        ceiling = np.column_stack([x, y, np.full(len(x), 0.6)])[::2]
+        cloud = np.vstack([np.column_stack([x, y, z]), ceiling]) @ turn
+        level = LevelView.of(LiveView(cloud, model_of_cloud(cloud)))
+        assert level.pose.position[2] == pytest.approx(1.9, abs=0.02)
+        assert level.is_turned == (turn[2, 2] < 0.0) and not level.may_be_turned
+        # The same with the ceiling as floor.
+        other = Pose(np.array([0.0, 0.0, 0.6]), np.diag([1.0, -1.0, -1.0]) @ turn)
+        assert level._replace(pose=other).may_be_turned
+
+
 def test_a_camera_at_a_wrong_pose_is_named_and_does_not_move_the_others(clouds, monkeypatch):
     assembled = mutual_registration._assembled
 
