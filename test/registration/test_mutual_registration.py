@@ -46,7 +46,12 @@ from ocp_ros.registration.joint_alignment import (
     with_distances,
 )
 from ocp_ros.registration.live_view import LiveView
-from ocp_ros.registration.movement import Movement, movement_since, way_back
+from ocp_ros.registration.movement import (
+    Movement,
+    movement_since,
+    movement_within,
+    way_back,
+)
 from ocp_ros.registration.mutual_registration import (
     LevelView,
     MutualRegistration,
@@ -242,6 +247,30 @@ def test_files_alone_give_a_placement_a_room_and_references(clouds, capsys, tmp_
     assert now.cameras[0].position == built.cameras[0].position
     assert_near(relative_pose(Pose.of(now.cameras[1].pose), poses[0]),
                 relative_pose(moved, TRUE[0]), 0.025, 0.7)
+
+
+def test_a_camera_that_was_moved_between_its_frames_is_named(capsys, tmp_path, monkeypatch):
+    rays, rng = MeshRays(mesh_of(plan_of(SEED))), np.random.default_rng(5)
+    before = cast(rays, TRUE[0], SENSOR, 7, 2, rng, 3)
+    after = cast(rays, off(TRUE[0], 0.03, 2.0, rng), SENSOR, 5, 2, rng, 3)
+    others, movement = movement_within([*before, *after])
+    assert others.tolist() == [False] * 7 + [True] * 5 and not movement.is_lost
+    assert movement.degrees == pytest.approx(2.0, abs=0.4)
+    # People who walk about are no movement, nor is a camera covered in few frames.
+    assert movement_within(before) is None
+    assert movement_within([*before, *(0.1 * frame for frame in after[:1])]) is None
+    # Frames of another camera are mixed with its own.
+    mixed = [frame for pair in zip(before, cast(rays, TRUE[1], SENSOR, 7, 0, rng, 4))
+             for frame in pair]
+    others, movement = movement_within(mixed)
+    assert others.tolist() == [False, True] * 7 and movement.is_lost
+    monkeypatch.chdir(tmp_path)
+    Path('door').mkdir()
+    for number, frame in enumerate([*before, *after]):
+        np.save(f'door/{number:02}.npy', frame @ OPTICAL_TO_BODY)
+    np.save('window.npy', seen_from(TRUE[1]) @ OPTICAL_TO_BODY)
+    message = refused(capsys, 'calibrate', '--clouds', 'door', 'window.npy', '--sensor', 'd455')
+    assert 'door: ' in message and '07.npy' in message
 
 
 def test_a_camera_that_lost_its_reference_is_found_by_the_others(clouds):
