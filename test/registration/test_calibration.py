@@ -17,7 +17,7 @@
 from pathlib import Path
 import re
 
-from benchmarks.calibration_bench import cast, off
+from benchmarks.calibration_bench import cast, off, shares
 from benchmarks.calibration_conditions import hall, hung_in_hall
 from conftest import blank_report, box_sides, printed, refused
 import numpy as np
@@ -455,3 +455,10 @@ def test_a_neighbour_holds_a_camera_where_the_scan_does_not():
         assert len(certainty.loose_motions) == loose
         assert {name for one in certainty.held_by for name in one} == (
             {'scan', 'held'} if used else {'scan'})
+
+
+def test_a_share_that_was_not_measured_is_not_recorded():
+    rows = [{'refused': '', 'right': True}, {'refused': 'it sees no floor', 'right': False}]
+    assert 'within_stated_90' not in shares(rows) and shares(rows)['right'] == 0.5
+    stated = shares([*rows, {'refused': '', 'right': True, 'normalised': [0.5, -2.0]}])
+    assert stated['within_stated_90'] == 0.5
