@@ -72,8 +72,11 @@ OTHER_SETUPS = (
     (OPENGL, 0.0, TO_BODY['opengl']))
 #: The largest number of cameras whose clouds are tried at the poses of each other.
 MAX_EXCHANGED = 8
-#: The least share by which depths are too long to be named, and steps to find it.
-WRONG_DEPTHS, DEPTH_STEPS = 0.01, 4
+#: The least share by which depths are too long to be named, steps to find it, and its largest
+#: standard deviation: three walls that meet look alike from farther off with longer depths.
+WRONG_DEPTHS, DEPTH_STEPS, MAX_DEPTH_DEVIATION = 0.003, 4, 0.005
+#: How many standard deviations it is at least to be corrected, and to be named.
+CORRECTED, NAMED = 2.5, 1.5
 #: Metres: the edge of the voxels of what cameras see together.
 FUSED_VOXEL_M = 0.02
 
@@ -102,13 +105,15 @@ def calibrate(scan: ScanSurfaces, placement: Placement, clouds: Mapping[str, np.
     registrations, reasons = _for_each_camera(
         partial(register, near=near), scan, placement, clouds)
     found, used = _with_other_setups(scan, placement, clouds, registrations)
-    _correct_depths(scan, placement, found, used, near)
+    own = {name: one for name, one in (seen or {}).items() if used.get(name) is clouds.get(name)}
+    factors = _correct_depths(scan, placement, found, used, near)
     if jointly:
         models = {one.camera.name: one.camera.model for one in placement.cameras}
         views = {name: (LiveView(used[name], models[name], name), models[name]) for name in found}
-        # Of a camera whose cloud was turned, scaled or exchanged, it is left out.
-        carried = carried_by({name: one for name, one in (seen or {}).items()
-                              if used.get(name) is clouds.get(name)},
+        # Of a camera whose cloud was turned or exchanged, it is left out.
+        carried = carried_by({name: {moment: [thing * factors[name] for thing in things]
+                                     for moment, things in one.items()}
+                              for name, one in own.items() if name in factors},
                              {name: models[name] for name in found})
         alone = found
         found, _ = with_distances(lambda left_out: (register_together(
@@ -198,13 +203,15 @@ def _is_behind(points: np.ndarray, model: CameraModel) -> bool:
 
 
 def _correct_depths(scan: ScanSurfaces, placement: Placement, found: dict[str, Registration],
-                    used: dict[str, np.ndarray], near: float) -> None:
+                    used: dict[str, np.ndarray], near: float) -> dict[str, float]:
     """
     Register cameras whose depths are all too long or too short again, with right ones.
 
     :param found: the registrations by the camera's name; changed.
     :param used: their clouds (N, 3), metres, body frame; changed.
+    :returns: by what the depths of each camera were multiplied, by its name.
     """
+    factors = dict.fromkeys(found, 1.0)
     for placed in [one for one in placement.cameras if one.camera.name in found]:
         name, model = placed.camera.name, placed.camera.model
         one, factor = found[name], 1.0
@@ -212,20 +219,30 @@ def _correct_depths(scan: ScanSurfaces, placement: Placement, found: dict[str, R
             continue
         share, deviation = depth_share(scan, LiveView(used[name], model, name), one.pose, model)
         # One step finds a part of a large error, since wrong depths also make it uncertain.
-        for _ in range(DEPTH_STEPS if abs(share) > 0.5 * WRONG_DEPTHS else 0):
+        for _ in range(DEPTH_STEPS):
+            if abs(share) < max(0.1 * WRONG_DEPTHS, (factor == 1.0) * max(
+                    0.5 * WRONG_DEPTHS, 0.7 * deviation)):
+                break
             factor /= 1.0 + share
             view = LiveView(used[name] * factor, model, name)
             one = registered_nearby(scan, view, one.pose, model)
             share, deviation = depth_share(scan, view, one.pose, model)
-        # Three walls that meet look alike from farther off with longer depths.
-        if deviation < 0.5 * WRONG_DEPTHS and (
-                abs(factor - 1.0) > max(WRONG_DEPTHS, 4.0 * deviation)):
-            used[name] = used[name] * factor
+        wrong = abs(1.0 / factor - 1.0)
+        if deviation > MAX_DEPTH_DEVIATION or wrong < max(WRONG_DEPTHS, NAMED * deviation):
+            continue
+        text = (f'{100.0 * wrong:.1f} % too {"long" if factor < 1.0 else "short"}, or the scale '
+                'of the scan is wrong')
+        if wrong > CORRECTED * deviation:
+            used[name], factors[name] = used[name] * factor, factor
             one = register(scan, LiveView(used[name], model, name), one.pose, model, near)
-            found[name] = _with_note(one, (
-                f'its depths are {100.0 * abs(1.0 / factor - 1.0):.1f} % too '
-                f'{"long" if factor < 1.0 else "short"}, or the scale of the scan is wrong; its '
-                'pose is by corrected depths; calibrate its depths'))
+            found[name] = _with_note(one, f'its depths are {text}; its pose is by corrected '
+                                     'depths; calibrate its depths')
+        else:
+            away = one.pose.away_from(found[name].pose)[0]
+            found[name] = _with_note(found[name], (
+                f'its depths may be {text}, but that is uncertain by {100.0 * deviation:.1f} %; '
+                f'its pose would then be off by {1000.0 * away:.0f} mm; calibrate its depths'))
+    return factors
 
 
 def drift(scan: ScanSurfaces, placement: Placement, clouds: Mapping[str, np.ndarray]) -> list[str]:

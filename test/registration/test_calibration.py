@@ -23,6 +23,7 @@ from conftest import blank_report, box_sides, printed, refused
 import numpy as np
 from ocp_ros.cli.main import main
 from ocp_ros.geometry.cameras import CameraModel, heading_of, OPTICAL_TO_BODY, Pose, TO_BODY
+from ocp_ros.registration import calibration
 from ocp_ros.registration.alignment import (
     matches_of,
     Patches,
@@ -409,17 +410,36 @@ def test_what_stays_in_most_frames_is_kept_and_its_noise_falls():
     assert steady_cloud(frames[:1]) is frames[0]
 
 
-@pytest.mark.parametrize('factor', [1.0, 1.02])
-def test_a_camera_with_wrong_depths_is_named_and_placed_by_right_ones(scan, factor):
+@pytest.mark.parametrize('factor', [1.0, 1.006, 1.02])
+def test_a_camera_with_wrong_depths_is_named_and_placed_by_right_ones(scan, factor, monkeypatch):
     start = off(TRUE, 0.2, 5.0, np.random.default_rng(2))
     placement = placement_of(rig_of(1, SENSOR), np.array([
         [*start.position, *heading_of(start.rotation)]]))
     name = placement.cameras[0].camera.name
-    found = calibrate(scan, placement, {name: factor * seen_by(TRUE)})[0][name]
+    carried, thing = [], np.ones((100, 3))
+    monkeypatch.setattr(calibration, 'carried_by', lambda seen, _: carried.append(seen) or {})
+    found = calibrate(scan, placement, {name: factor * seen_by(TRUE)},
+                      seen={name: {0: [thing]}})[0][name]
     assert_near(found.pose, TRUE)
     named = re.match(r'its depths are (\S+) % too long', found.note)
     assert bool(named) == (factor > 1.0) == bool(found.note)
-    assert not named or float(named[1]) == pytest.approx(100.0 * (factor - 1.0), abs=0.3)
+    assert not named or float(named[1]) == pytest.approx(100.0 * (factor - 1.0), abs=0.2)
+    # What was set down is as far away as the rest of the cloud.
+    assert carried[0][name][0][0] == pytest.approx(thing / factor, rel=0.002)
+
+
+def test_depths_that_may_be_wrong_are_named_with_what_that_would_do(scan, view, monkeypatch):
+    placement = placement_of(rig_of(1, SENSOR), ROW[None])
+    name = placement.cameras[0].camera.name
+    found = {name: registered_nearby(scan, view, TRUE, MODEL)}
+    before, used = found[name].pose, {name: view.points}
+    # Once corrected, nothing is left of the error, but it is uncertain by half of itself.
+    shares = iter([(0.006, 0.003), (0.0, 0.003)])
+    monkeypatch.setattr(calibration, 'depth_share', lambda *_: next(shares))
+    assert _correct_depths(scan, placement, found, used, 1.6) == {name: 1.0}
+    assert found[name].pose is before and used[name] is view.points
+    metres = float(re.search(r'0\.6 % too long.* off by (\d+) mm', found[name].note)[1]) / 1000.0
+    assert 0.005 < metres < 0.05
 
 
 def test_depths_are_not_corrected_by_walls_that_look_alike_with_longer_ones():
