@@ -28,6 +28,7 @@ from ocp_ros.cli.arguments import (
     add_reading,
     read_distance,
     read_frame_prefix,
+    read_scale,
     room_asked,
 )
 from ocp_ros.cli.common import (
@@ -87,6 +88,8 @@ def add_arguments(commands: Commands) -> None:
                          '(x forward, y left, z up) or opengl (z backward, x right, y up, as of '
                          'the RealSense Viewer); default: optical for files, and the frame '
                          'that a bag names')
+    command.add_argument('--cloud-scale', type=read_scale, default=1.0, metavar='METRES',
+                         help='metres per unit of the clouds, such as 0.001 for millimetres')
     command.add_argument('--out', type=Path, default=Path('out/built'), metavar='DIR',
                          help='write the placement as built, a launch file of static transforms '
                          'and the figures here')
@@ -254,6 +257,7 @@ def clouds_of(arguments: argparse.Namespace, names: Sequence[str] | None
     seen: dict[str, dict[Hashable, list[np.ndarray]]] = {}
     times: list[int] = []
     for name, frames in _frames_of(arguments, names):
+        frames = {key: arguments.cloud_scale * frame for key, frame in frames.items()}
         _check_still(name, frames)
         clouds[name] = steady_cloud([*frames.values()])
         if arguments.box:

@@ -77,6 +77,7 @@ MAX_EXCHANGED = 8
 WRONG_DEPTHS, DEPTH_STEPS, MAX_DEPTH_DEVIATION = 0.003, 4, 0.005
 #: How many standard deviations it is at least to be corrected, and to be named.
 CORRECTED, NAMED = 2.5, 1.5
+NO_CLOUD = 'it has no cloud; name it (--clouds CAMERA=FILE, or --topics CAMERA=TOPIC)'
 #: Metres: the edge of the voxels of what cameras see together.
 FUSED_VOXEL_M = 0.02
 
@@ -301,7 +302,7 @@ def by_scan(scene: Scene, placement: Placement, clouds: Mapping[str, np.ndarray]
     found, failures = calibrate(ScanSurfaces(scene), placement, clouds, measured=measured,
                                 near=near, seen=seen)
     rows = [answer_of(placed, found[name]) if (name := placed.camera.name) in found else
-            {'camera': name, 'refused': failures.get(name, 'it has no cloud')}
+            {'camera': name, 'refused': failures.get(name, NO_CLOUD)}
             for placed in placement.cameras]
     # A cloud that is not the camera's own, or has other axes, is no reference for it.
     certain = {row['camera'] for row in rows if not (row['refused'] or row['otherwise'])}
@@ -338,7 +339,8 @@ def without_scan(clouds: Mapping[str, np.ndarray], sensor: str, command: str,
             one = found[name]
             placed.append(placed_at(Camera(name, sensor, models[name]), _row_of(one.pose), 'free'))
             fused.append(views[name].points @ one.pose.rotation.T + one.pose.position)
-            row |= {'overlap': one.overlap, 'lead': one.lead, 'note': one.note,
+            # Several others may see the same point.
+            row |= {'overlap': min(one.overlap, 1.0), 'lead': one.lead, 'note': one.note,
                     **_deviations(one.certainty),
                     **_pose_of(one.pose)}
         rows.append(row)
@@ -378,7 +380,7 @@ def calibrate_mutually(placement: Placement, clouds: Mapping[str, np.ndarray]
             certainty = one.certainty._replace(slide_axes=one.certainty.slide_axes @ turn.T,
                                                turn_axes=one.certainty.turn_axes @ turn.T)
             registrations[name] = Registration(
-                pose, np.nan, one.overlap, 0.0, certainty, 0.0, 0.0, one.refused)
+                pose, np.nan, min(one.overlap, 1.0), 0.0, certainty, 0.0, 0.0, one.refused)
     return registrations, {**reasons, **failures}
 
 
@@ -440,7 +442,7 @@ def since_reference(placement: Placement, references: Mapping[str, np.ndarray],
         name = placed.camera.name
         row: dict[str, Any] = {'camera': name, 'refused': ''}
         if name not in movements:
-            row['refused'] = reasons.get(name, 'it has no cloud') if name in before else \
+            row['refused'] = reasons.get(name, NO_CLOUD) if name in before else \
                 'it has no reference: calibrate it once without --against'
         elif (movement := movements[name]).is_lost:
             row['refused'] = sentence_of(name, movement, poses[name])

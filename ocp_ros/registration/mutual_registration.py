@@ -420,7 +420,8 @@ def register_mutually(views: Mapping[str, LiveView],
         del poses[worst]
         if len(poses) < 2 or poses.keys() <= known.keys():
             return {}, reasons | dict.fromkeys(
-                poses.keys() - known.keys(), 'no other camera is left that agrees with it')
+                poses.keys() - known.keys(), 'no other camera is left that agrees with it; turn '
+                'it to what another one sees, or give a scan')
     if carried and is_contradicted(carried, views, joint):
         return _without_box(views, measured, known, left_out)
     leads = {name: _lead(level, links, rig, poses, joint, name, carried) for name in joint
@@ -589,7 +590,7 @@ def _refusal(total: float, lead: float, certainty: Certainty) -> str:
                 'see it (--box)')
     if certainty.loose_motions:
         return (f'it {" and ".join(certainty.loose_motions)}: too little of what it sees is seen '
-                'by others')
+                'by others; turn it to what another one sees')
     if (certainty.metres[0] > MUTUAL_LIMITS.max_metres
             or certainty.degrees[0] > MUTUAL_LIMITS.max_degrees):
         return (f'it may be off by {1000.0 * certainty.metres[0]:.0f} mm and '

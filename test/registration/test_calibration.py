@@ -221,6 +221,25 @@ def test_a_near_pose_that_fits_as_well_is_named(nearer, named):
     assert bool(found.others) == named and (not named or found.refused)
 
 
+def test_of_poses_that_fit_as_well_the_nearest_is_taken_as_the_message_says():
+    # Boards at a wall repeat after 1.2 m.
+    rng = np.random.default_rng(0)
+    boards = [rng.uniform([x + along, 2.0, -1.2], [x + along, 3.0, 1.2], (2500, 3))
+              for x in np.arange(-3.6, 3.7, 1.2) for along in (0.0, 0.35, 0.55)]
+    room = np.concatenate([plane(3.0), plane(-1.5)[:, [0, 2, 1]], *boards])
+    scan, model = ScanSurfaces(Scene(room.astype(np.float32))), CameraModel(0.1, 6.0)
+    true = Pose.of(np.array([0.0, 0.0, 0.0, 0.5 * np.pi, 0.0, 0.0]))
+    cloud = (room - true.position) @ true.rotation
+    slopes = np.abs(cloud[:, 1:]) / np.maximum(cloud[:, :1], 1e-6)
+    view = LiveView(cloud[(cloud[:, 0] > 0.0) & (slopes < 0.6).all(axis=1)], model)
+    start = off(true, 0.1, 2.0, rng)
+    refusal = register(scan, view, start, model).refused
+    near = float(re.search(r'--near (\S+)\)', refusal)[1])
+    found = register(scan, view, start, model, near)
+    assert not found.refused
+    assert_near(found.pose, true)
+
+
 @pytest.mark.parametrize('known', [True, False])
 def test_a_partition_that_was_scanned_from_its_other_side_does_not_hold_a_camera(known):
     # The wall behind the partition is out of reach, so that its thickness would displace the pose.

@@ -273,6 +273,24 @@ def test_a_camera_that_was_moved_between_its_frames_is_named(capsys, tmp_path, m
     assert 'door: ' in message and '07.npy' in message
 
 
+def test_clouds_in_millimetres_are_named_and_read(clouds, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name, cloud in clouds.items():
+        np.save(f'{name}.npy', 1000.0 * cloud @ OPTICAL_TO_BODY)
+    names = [f'{name}.npy' for name in clouds]
+    for sensor in ([], ['--sensor', 'd455']):
+        message = refused(capsys, 'calibrate', '--clouds', *names, *sensor)
+        assert message.count('--cloud-scale 0.001') == 3
+    rows = printed(capsys, 'calibrate', '--clouds', *names, '--cloud-scale', 0.001)['cameras']
+    assert [row['refused'] for row in rows] == ['', '', '']
+
+
+def test_no_overlap_is_more_than_all(clouds):
+    # Two cameras see the same.
+    rows = without_scan({**clouds, 'twin': clouds['cam_0'][::2] + 1e-4}, SENSOR, '').rows
+    assert all(0.0 < row['overlap'] <= 1.0 for row in rows)
+
+
 def test_a_camera_that_lost_its_reference_is_found_by_the_others(clouds):
     # It hangs in another corner.
     now = Pose.of(np.array([SIZE[0] - 0.3, SIZE[1] - 0.4, 2.1, np.arctan2(
