@@ -339,8 +339,7 @@ def without_scan(clouds: Mapping[str, np.ndarray], sensor: str, command: str,
             one = found[name]
             placed.append(placed_at(Camera(name, sensor, models[name]), _row_of(one.pose), 'free'))
             fused.append(views[name].points @ one.pose.rotation.T + one.pose.position)
-            # Several others may see the same point.
-            row |= {'overlap': min(one.overlap, 1.0), 'lead': one.lead, 'note': one.note,
+            row |= {'overlap': one.overlap, 'lead': one.lead, 'note': one.note,
                     **_deviations(one.certainty),
                     **_pose_of(one.pose)}
         rows.append(row)
@@ -380,7 +379,7 @@ def calibrate_mutually(placement: Placement, clouds: Mapping[str, np.ndarray]
             certainty = one.certainty._replace(slide_axes=one.certainty.slide_axes @ turn.T,
                                                turn_axes=one.certainty.turn_axes @ turn.T)
             registrations[name] = Registration(
-                pose, np.nan, min(one.overlap, 1.0), 0.0, certainty, 0.0, 0.0, one.refused)
+                pose, np.nan, one.overlap, 0.0, certainty, 0.0, 0.0, one.refused)
     return registrations, {**reasons, **failures}
 
 

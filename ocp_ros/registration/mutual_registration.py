@@ -174,7 +174,7 @@ class MutualRegistration(NamedTuple):
     The registered pose of a camera in the frame of the rig.
 
     :ivar pose: the pose; z is up and 0 on the floor.
-    :ivar overlap: how well the camera agrees with all others, see
+    :ivar overlap: how well the camera agrees with all others, at most 1, see
         :func:`~ocp_ros.registration.camera_registration.Comparison`.
     :ivar lead: the lead in agreement over the next distinct pose.
     :ivar certainty: the expected deviations against the first camera.
@@ -443,8 +443,10 @@ def register_mutually(views: Mapping[str, LiveView],
             refused += advice(name, certainty.slide_axes[0],
                               {other: pose.position for other, pose in joint.items()},
                               [placed[b] for a, b in pairs if placed[a] == name], measured)
-        found[name] = MutualRegistration(joint[name], totals[name], leads[name], certainty,
-                                         refused, '' if refused else _note_of(level[name]))
+        # Several others may see the same point.
+        found[name] = MutualRegistration(joint[name], min(totals[name], 1.0), leads[name],
+                                         certainty, refused,
+                                         '' if refused else _note_of(level[name]))
     return found, reasons
 
 
