@@ -415,15 +415,16 @@ def shares(rows: Sequence[dict]) -> dict[str, float]:
 
     :returns: of those that are given a right pose, a wrong one, and none; and of those whose best
         pose is right, refused or not. Of accepted poses, the share of the errors along six axes
-        that are within the 90 % that their deviations state.
+        that are within the 90 % that their deviations state; left out where it was not measured.
     """
     given = [row for row in rows if not row['refused']]
     right = sum(row['right'] for row in given)
-    return {'right': right / len(rows), 'wrong': (len(given) - right) / len(rows),
-            'refused': 1.0 - len(given) / len(rows),
-            'best_is_right': sum(row['right'] for row in rows) / len(rows),
-            'within_stated_90': float(np.mean([np.abs(row['normalised']) < 1.645 for row in given
-                                               if 'normalised' in row] or [0.0]))}
+    found = {'right': right / len(rows), 'wrong': (len(given) - right) / len(rows),
+             'refused': 1.0 - len(given) / len(rows),
+             'best_is_right': sum(row['right'] for row in rows) / len(rows)}
+    if stated := [np.abs(row['normalised']) < 1.645 for row in given if 'normalised' in row]:
+        found['within_stated_90'] = float(np.mean(stated))
+    return found
 
 
 def figures_of(rows: Sequence[dict]) -> dict[str, float]:

@@ -16,6 +16,7 @@
 
 import argparse
 from collections.abc import Hashable, Iterable, Iterator, Sequence
+from contextlib import suppress
 from itertools import combinations
 from pathlib import Path
 from typing import Any, TYPE_CHECKING
@@ -27,6 +28,7 @@ from ocp_ros.cli.arguments import (
     add_reading,
     read_distance,
     read_frame_prefix,
+    read_scale,
     room_asked,
 )
 from ocp_ros.cli.common import (
@@ -86,6 +88,8 @@ def add_arguments(commands: Commands) -> None:
                          '(x forward, y left, z up) or opengl (z backward, x right, y up, as of '
                          'the RealSense Viewer); default: optical for files, and the frame '
                          'that a bag names')
+    command.add_argument('--cloud-scale', type=read_scale, default=1.0, metavar='METRES',
+                         help='metres per unit of the clouds, such as 0.001 for millimetres')
     command.add_argument('--out', type=Path, default=Path('out/built'), metavar='DIR',
                          help='write the placement as built, a launch file of static transforms '
                          'and the figures here')
@@ -253,6 +257,8 @@ def clouds_of(arguments: argparse.Namespace, names: Sequence[str] | None
     seen: dict[str, dict[Hashable, list[np.ndarray]]] = {}
     times: list[int] = []
     for name, frames in _frames_of(arguments, names):
+        frames = {key: arguments.cloud_scale * frame for key, frame in frames.items()}
+        _check_still(name, frames)
         clouds[name] = steady_cloud([*frames.values()])
         if arguments.box:
             moments = list(frames)
@@ -275,6 +281,24 @@ def clouds_of(arguments: argparse.Namespace, names: Sequence[str] | None
             '--box: found nothing that was set down for two frames; expected a box at another '
             'place in some frames; save at least two frames of it at each place')
     return clouds, seen
+
+
+def _check_still(name: str, frames: 'dict[Any, np.ndarray]') -> None:
+    """Raise an error if frames of a camera, by file name or time, are of two poses or cameras."""
+    from ocp_ros.registration.movement import movement_within
+    from ocp_ros.scenes.scene import SceneError
+    with suppress(SceneError):
+        if found := movement_within([*frames.values()]):
+            others, movement = found
+            first = int(others.argmax())
+            which = f'from frame {[*frames][first]} on' if others[first:].all() else (
+                f'in {others.sum()} of {len(others)} frames, {[*frames][first]} first')
+            what = 'shows something else' if movement.is_lost else (
+                f'hangs {100.0 * movement.metres:.1f} cm and {movement.degrees:.1f} degrees from '
+                'where it hung before')
+            raise ConfigurationError(
+                f'{name}: found that it {what} {which}; expected frames of one camera that does '
+                'not move; leave the frames before or after that out, or record it again')
 
 
 def _frames_of(arguments: argparse.Namespace, names: Sequence[str] | None

@@ -43,6 +43,7 @@ from ocp_ros.registration.camera_registration import (
     Registration,
 )
 from ocp_ros.registration.carried import carried_by, Seen
+from ocp_ros.registration.joint_alignment import with_distances
 from ocp_ros.registration.live_view import LiveView
 from ocp_ros.registration.movement import movements_since, sentence_of, way_back
 from ocp_ros.registration.mutual_registration import register_mutually
@@ -71,8 +72,12 @@ OTHER_SETUPS = (
     (OPENGL, 0.0, TO_BODY['opengl']))
 #: The largest number of cameras whose clouds are tried at the poses of each other.
 MAX_EXCHANGED = 8
-#: The least share by which depths are too long to be named, and steps to find it.
-WRONG_DEPTHS, DEPTH_STEPS = 0.01, 4
+#: The least share by which depths are too long to be named, steps to find it, and its largest
+#: standard deviation: three walls that meet look alike from farther off with longer depths.
+WRONG_DEPTHS, DEPTH_STEPS, MAX_DEPTH_DEVIATION = 0.003, 4, 0.005
+#: How many standard deviations it is at least to be corrected, and to be named.
+CORRECTED, NAMED = 2.5, 1.5
+NO_CLOUD = 'it has no cloud; name it (--clouds CAMERA=FILE, or --topics CAMERA=TOPIC)'
 #: Metres: the edge of the voxels of what cameras see together.
 FUSED_VOXEL_M = 0.02
 
@@ -101,15 +106,19 @@ def calibrate(scan: ScanSurfaces, placement: Placement, clouds: Mapping[str, np.
     registrations, reasons = _for_each_camera(
         partial(register, near=near), scan, placement, clouds)
     found, used = _with_other_setups(scan, placement, clouds, registrations)
-    _correct_depths(scan, placement, found, used, near)
+    own = {name: one for name, one in (seen or {}).items() if used.get(name) is clouds.get(name)}
+    factors = _correct_depths(scan, placement, found, used, near)
     if jointly:
         models = {one.camera.name: one.camera.model for one in placement.cameras}
         views = {name: (LiveView(used[name], models[name], name), models[name]) for name in found}
-        # Of a camera whose cloud was turned, scaled or exchanged, it is left out.
-        carried = carried_by({name: one for name, one in (seen or {}).items()
-                              if used.get(name) is clouds.get(name)},
+        # Of a camera whose cloud was turned or exchanged, it is left out.
+        carried = carried_by({name: {moment: [thing * factors[name] for thing in things]
+                                     for moment, things in one.items()}
+                              for name, one in own.items() if name in factors},
                              {name: models[name] for name in found})
-        found = register_together(scan, views, found, measured, carried)
+        alone = found
+        found, _ = with_distances(lambda left_out: (register_together(
+            scan, views, alone, measured, carried, left_out), {}), measured or {})
     return _with_exchanged(placement, found), reasons
 
 
@@ -195,13 +204,15 @@ def _is_behind(points: np.ndarray, model: CameraModel) -> bool:
 
 
 def _correct_depths(scan: ScanSurfaces, placement: Placement, found: dict[str, Registration],
-                    used: dict[str, np.ndarray], near: float) -> None:
+                    used: dict[str, np.ndarray], near: float) -> dict[str, float]:
     """
     Register cameras whose depths are all too long or too short again, with right ones.
 
     :param found: the registrations by the camera's name; changed.
     :param used: their clouds (N, 3), metres, body frame; changed.
+    :returns: by what the depths of each camera were multiplied, by its name.
     """
+    factors = dict.fromkeys(found, 1.0)
     for placed in [one for one in placement.cameras if one.camera.name in found]:
         name, model = placed.camera.name, placed.camera.model
         one, factor = found[name], 1.0
@@ -209,20 +220,30 @@ def _correct_depths(scan: ScanSurfaces, placement: Placement, found: dict[str, R
             continue
         share, deviation = depth_share(scan, LiveView(used[name], model, name), one.pose, model)
         # One step finds a part of a large error, since wrong depths also make it uncertain.
-        for _ in range(DEPTH_STEPS if abs(share) > 0.5 * WRONG_DEPTHS else 0):
+        for _ in range(DEPTH_STEPS):
+            if abs(share) < max(0.1 * WRONG_DEPTHS, (factor == 1.0) * max(
+                    0.5 * WRONG_DEPTHS, 0.7 * deviation)):
+                break
             factor /= 1.0 + share
             view = LiveView(used[name] * factor, model, name)
             one = registered_nearby(scan, view, one.pose, model)
             share, deviation = depth_share(scan, view, one.pose, model)
-        # Three walls that meet look alike from farther off with longer depths.
-        if deviation < 0.5 * WRONG_DEPTHS and (
-                abs(factor - 1.0) > max(WRONG_DEPTHS, 4.0 * deviation)):
-            used[name] = used[name] * factor
+        wrong = abs(1.0 / factor - 1.0)
+        if deviation > MAX_DEPTH_DEVIATION or wrong < max(WRONG_DEPTHS, NAMED * deviation):
+            continue
+        text = (f'{100.0 * wrong:.1f} % too {"long" if factor < 1.0 else "short"}, or the scale '
+                'of the scan is wrong')
+        if wrong > CORRECTED * deviation:
+            used[name], factors[name] = used[name] * factor, factor
             one = register(scan, LiveView(used[name], model, name), one.pose, model, near)
-            found[name] = _with_note(one, (
-                f'its depths are {100.0 * abs(1.0 / factor - 1.0):.1f} % too '
-                f'{"long" if factor < 1.0 else "short"}, or the scale of the scan is wrong; its '
-                'pose is by corrected depths; calibrate its depths'))
+            found[name] = _with_note(one, f'its depths are {text}; its pose is by corrected '
+                                     'depths; calibrate its depths')
+        else:
+            away = one.pose.away_from(found[name].pose)[0]
+            found[name] = _with_note(found[name], (
+                f'its depths may be {text}, but that is uncertain by {100.0 * deviation:.1f} %; '
+                f'its pose would then be off by {1000.0 * away:.0f} mm; calibrate its depths'))
+    return factors
 
 
 def drift(scan: ScanSurfaces, placement: Placement, clouds: Mapping[str, np.ndarray]) -> list[str]:
@@ -281,7 +302,7 @@ def by_scan(scene: Scene, placement: Placement, clouds: Mapping[str, np.ndarray]
     found, failures = calibrate(ScanSurfaces(scene), placement, clouds, measured=measured,
                                 near=near, seen=seen)
     rows = [answer_of(placed, found[name]) if (name := placed.camera.name) in found else
-            {'camera': name, 'refused': failures.get(name, 'it has no cloud')}
+            {'camera': name, 'refused': failures.get(name, NO_CLOUD)}
             for placed in placement.cameras]
     # A cloud that is not the camera's own, or has other axes, is no reference for it.
     certain = {row['camera'] for row in rows if not (row['refused'] or row['otherwise'])}
@@ -307,8 +328,9 @@ def without_scan(clouds: Mapping[str, np.ndarray], sensor: str, command: str,
     models = {name: SENSORS[sensor].model if sensor else model_of_cloud(cloud)
               for name, cloud in clouds.items()}
     views, reasons = views_of(clouds, models)
-    found, failures = register_mutually(views, measured, carried=carried_by(
-        seen or {}, {name: models[name] for name in views}))
+    carried = carried_by(seen or {}, {name: models[name] for name in views})
+    found, failures = with_distances(lambda left_out: register_mutually(
+        views, measured, carried=carried, left_out=left_out), measured or {})
     reasons |= failures
     placed, rows, fused = [], [], []
     for name in clouds:
@@ -317,7 +339,8 @@ def without_scan(clouds: Mapping[str, np.ndarray], sensor: str, command: str,
             one = found[name]
             placed.append(placed_at(Camera(name, sensor, models[name]), _row_of(one.pose), 'free'))
             fused.append(views[name].points @ one.pose.rotation.T + one.pose.position)
-            row |= {'overlap': one.overlap, 'lead': one.lead, **_deviations(one.certainty),
+            row |= {'overlap': one.overlap, 'lead': one.lead, 'note': one.note,
+                    **_deviations(one.certainty),
                     **_pose_of(one.pose)}
         rows.append(row)
     if len(placed) < 2:
@@ -418,7 +441,7 @@ def since_reference(placement: Placement, references: Mapping[str, np.ndarray],
         name = placed.camera.name
         row: dict[str, Any] = {'camera': name, 'refused': ''}
         if name not in movements:
-            row['refused'] = reasons.get(name, 'it has no cloud') if name in before else \
+            row['refused'] = reasons.get(name, NO_CLOUD) if name in before else \
                 'it has no reference: calibrate it once without --against'
         elif (movement := movements[name]).is_lost:
             row['refused'] = sentence_of(name, movement, poses[name])

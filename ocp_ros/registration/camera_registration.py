@@ -26,7 +26,7 @@ the pose.
 A surface explains a point near its plane: fully at distance 0, less the farther away the point is.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -174,8 +174,9 @@ def register(scan: ScanSurfaces, view: LiveView, start: Pose, model: CameraModel
     metres = answer.pose.away_from(start)[0]
     # Refinement moves a pose by a few centimetres.
     if not answer.refused and metres > near + 0.1:
-        return answer._replace(refused=f'the best pose is {metres:.2f} m from that in the '
-                               f'placement, at most {near:.2f} m may be; correct the placement')
+        return answer._replace(refused=(
+            f'the best pose is {metres:.2f} m from that in the placement, at most {near:.2f} m '
+            f'may be; correct the placement, or allow it (--near {metres + 0.1:.1f})'))
     alternatives = [k for k, pose in enumerate(poses)
                     if scores[k] > scores[best] - LIMITS.min_lead
                     and differ(pose, poses[best])]
@@ -185,8 +186,9 @@ def register(scan: ScanSurfaces, view: LiveView, start: Pose, model: CameraModel
     if alternatives:
         alternatives.sort(key=lambda k: -scores[k])
         others = (*answer.others, *(poses[k] for k in alternatives))
-        return answer._replace(
-            refused=answer.refused or _ambiguity_reason(poses[best], others[0]), others=others)
+        reason = _ambiguity_reason(poses[best], others[0], _remedy_by_near(
+            [pose.away_from(start)[0] for pose in (poses[best], *others)]))
+        return answer._replace(refused=answer.refused or reason, others=others)
     turns = _equal_turns(scan, view, answer.pose, model)
     if changed is not None:
         return answer if turns else changed
@@ -197,6 +199,15 @@ def register(scan: ScanSurfaces, view: LiveView, start: Pose, model: CameraModel
         f'the room looks the same turned by {", ".join(others)}{" and " * bool(others)}{last} '
         f'degrees: found {len(turns)} more pose{"s" * (len(turns) > 1)} that fit as well; make '
         'sure that it hangs where it was planned'))
+
+
+def _remedy_by_near(metres: Sequence[float]) -> str:
+    """Return how to take the nearest of poses so far from the planned one; empty if two are."""
+    nearest, next_nearest = sorted(metres)[:2]
+    if next_nearest < nearest + 0.2:
+        return ''
+    near = f'{0.5 * (nearest + next_nearest):.1f}'
+    return f'if it hangs less than {near} m from its planned pose, say so (--near {near})'
 
 
 def _accepted_in_changed_room(answer: Registration) -> Registration | None:
@@ -259,7 +270,8 @@ def depth_share(scan: ScanSurfaces, view: LiveView, pose: Pose, model: CameraMod
 def register_together(scan: ScanSurfaces, cameras: Mapping[str, tuple[LiveView, CameraModel]],
                       found: Mapping[str, Registration],
                       measured: Mapping[tuple[str, str], float] | None = None,
-                      carried: Mapping[str, Carried] | None = None) -> dict[str, Registration]:
+                      carried: Mapping[str, Carried] | None = None,
+                      left_out: Collection[tuple[str, str]] = ()) -> dict[str, Registration]:
     """
     Register cameras to the scan and to each other, after each has been registered alone.
 
@@ -271,6 +283,7 @@ def register_together(scan: ScanSurfaces, cameras: Mapping[str, tuple[LiveView, 
     :param found: the registration of each camera alone, by name.
     :param measured: measured distances between two cameras, metres, by their names.
     :param carried: what was set down in the views of the cameras, by name; of all or of none.
+    :param left_out: measured distances that are not used.
     :returns: the registrations, improved.
     """
     names = [name for name, one in found.items() if not one.mismatched]
@@ -278,7 +291,8 @@ def register_together(scan: ScanSurfaces, cameras: Mapping[str, tuple[LiveView, 
         return dict(found)
     views = [cameras[name][0] for name in names]
     poses = _agreeing_poses(views, [found[name] for name in names])
-    distances, carried = distances_between(names, measured or {}), carried or {}
+    measured, carried = measured or {}, carried or {}
+    distances = distances_between(names, measured, left_out)
     meetings = meetings_between(names, carried)
     for stage in (*((MEETING_STAGE, NEAR_STAGE) if meetings else ()),
                   AlignmentStage((0.1, 0.05), (3.0, 1.0), 10), FINEST_STAGE):
@@ -289,7 +303,8 @@ def register_together(scan: ScanSurfaces, cameras: Mapping[str, tuple[LiveView, 
             *distances, *(meetings if stage is MEETING_STAGE else ())])
     if meetings and is_contradicted(carried, dict(zip(names, views)), dict(zip(names, poses))):
         return {name: one._replace(refused=one.refused and one.refused + NOT_ALIKE)
-                for name, one in register_together(scan, cameras, found, measured).items()}
+                for name, one in register_together(
+                    scan, cameras, found, measured, left_out=left_out).items()}
     limits = FINEST_STAGE.max_distances[1], FINEST_STAGE.kernel_widths[1]
     pairs = overlapping_pairs(rig, poses, limits[0])
     constraints = all_constraints(rig, poses, pairs, *limits, distances)
@@ -309,7 +324,7 @@ def register_together(scan: ScanSurfaces, cameras: Mapping[str, tuple[LiveView, 
             answer = answer._replace(refused=answer.refused + advice(
                 name, certainty.slide_axes[0],
                 {other: pose.position for other, pose in zip(names, poses)},
-                [names[other] for camera, other in pairs if camera == k]))
+                [names[other] for camera, other in pairs if camera == k], measured))
         joint[name] = answer._replace(actual_setup=alone.actual_setup, note=alone.note)
     return joint
 
@@ -606,11 +621,12 @@ def _behind_shares(surfaces: Surfaces, patches: Patches, poses: Poses) -> np.nda
     return (matches.found & behind).mean(axis=1)
 
 
-def _ambiguity_reason(pose: Pose, alternative: Pose) -> str:
-    """Return the message that another pose fits as well."""
+def _ambiguity_reason(pose: Pose, alternative: Pose, remedy: str = '') -> str:
+    """Return the message that another pose fits as well, and what to do."""
     metres, radians = alternative.away_from(pose)
     return (f'another pose, {metres:.2f} m and {np.rad2deg(radians):.0f} degrees away, explains '
-            'what it sees as well')
+            'what it sees as well; '
+            f'{remedy or "turn it to something that is there only once, and scan that too"}')
 
 
 def _change_reason(violated_share: float) -> str:
@@ -632,9 +648,11 @@ def _rejection_reason(overlap: float, violated_share: float, behind_share: float
                 'check whether the cloud is its own')
     if behind_share > LIMITS.max_behind:
         return (f'{100.0 * behind_share:.1f} % of what it sees lies closely behind scanned '
-                f'surfaces, at most {100.0 * LIMITS.max_behind:.1f} % may')
+                f'surfaces, at most {100.0 * LIMITS.max_behind:.1f} % may; scan again what was '
+                'moved, and check its planned pose')
     if certainty.loose_motions:
-        return f'it {" and ".join(certainty.loose_motions)}: too few surfaces hold it there'
+        return (f'it {" and ".join(certainty.loose_motions)}: too few surfaces hold it there; '
+                'turn it to surfaces across that, or scan what it sees of them')
     # The deviations grow with little overlap and displaced surfaces; the largest comes first.
     grown = certainty.with_doubts(overlap, displaced_share)
     if grown.metres[0] > LIMITS.max_metres or grown.degrees[0] > LIMITS.max_degrees:

@@ -28,8 +28,8 @@ jackknife, which is how much the poses change if one block is left out, and that
 independent errors as large as those observed.
 """
 
-from collections.abc import Collection, Mapping, Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Collection, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from ocp_ros.geometry.cameras import Pose
@@ -271,24 +271,75 @@ class Meeting(NamedTuple):
                            np.full(len(points), MEETING_DEVIATION_M ** -2.0), points, normals)
 
 
-def distances_between(names: Sequence[str], measured: Mapping[tuple[str, str], float]
-                      ) -> list[Distance]:
+def distances_between(names: Sequence[str], measured: Mapping[tuple[str, str], float],
+                      left_out: Collection[tuple[str, str]] = ()) -> list[Distance]:
     """Return the measured distances, metres, between two of some cameras, by their numbers."""
-    return [Distance(names.index(a), names.index(b), metres)
-            for (a, b), metres in measured.items() if a in names and b in names]
+    return [Distance(names.index(a), names.index(b), metres) for (a, b), metres in measured.items()
+            if a in names and b in names and (a, b) not in left_out]
+
+
+def with_distances(
+        register: Callable[[Collection[tuple[str, str]]], tuple[dict[str, Any], dict[str, str]]],
+        measured: Mapping[tuple[str, str], float]) -> tuple[dict[str, Any], dict[str, str]]:
+    """
+    Register cameras, by a measured distance only where the clouds do not hold both cameras.
+
+    A distance between cameras that are accepted without it is compared with that of their poses.
+
+    :param register: registers all cameras without the given ones of the distances; it returns the
+        registrations, and for other cameras the reasons why they have none, by name.
+    :param measured: measured distances between two cameras, metres, by their names.
+    :returns: as ``register``; distances that disagree are named in the notes and the reasons.
+    """
+    free = answer = register(measured)
+    accepted = {name for name, one in free[0].items() if not one.refused}
+    left_out = {pair for pair in measured if accepted.issuperset(pair)}
+    if len(left_out) < len(measured):
+        held = register(left_out)
+        # A wrong distance does not take the pose from a camera that has one without it.
+        if all(name in held[0] and not held[0][name].refused for name in accepted):
+            answer = held
+        else:
+            left_out = set(measured)
+    found = dict(answer[0])
+    for pair in [pair for pair in measured if all(name in free[0] for name in pair)]:
+        one, other = (free[0][name] for name in pair)
+        apart = one.pose.position - other.pose.position
+        length = float(np.linalg.norm(apart))
+        covariance = one.certainty.covariance[3:, 3:] + other.certainty.covariance[3:, 3:]
+        deviation = float(np.sqrt(apart @ covariance @ apart)) / max(length, 1e-9)
+        spread, is_left_out = np.hypot(deviation, DISTANCE_DEVIATION_M), pair in left_out
+        for name, to in (pair, pair[::-1]):
+            if name not in found or (name in accepted and not is_left_out):
+                continue
+            # Stated deviations of accepted poses are rather too large, those of others too small.
+            refused = found[name].refused
+            limit = DISTANCE_DEVIATION_M if refused else spread if is_left_out else 2.0 * spread
+            if abs(length - measured[pair]) > limit:
+                key = 'refused' if refused else 'note'
+                says = ('the clouds say', '; the distance was left out') if is_left_out else (
+                    'used for its pose; without it, the clouds say', '')
+                text = (f'measured {measured[pair]:.3f} m to {to}, {says[0]} {length:.3f} m'
+                        f'{says[1]}: check that it is between the middles of these two cameras, '
+                        'and the scale of their depths')
+                found[name] = found[name]._replace(**{
+                    key: '; '.join(filter(None, [getattr(found[name], key), text]))})
+    return found, answer[1]
 
 
 def advice(name: str, axis: np.ndarray, places: Mapping[str, np.ndarray],
-           neighbours: Sequence[str] = ()) -> str:
+           neighbours: Sequence[str] = (), measured: Collection[tuple[str, str]] = ()) -> str:
     """
     Return what would hold a camera along an axis; empty if nothing would.
 
     :param axis: (3,) unit vector, map frame.
     :param places: the positions (3,) of all cameras, metres, by name.
     :param neighbours: cameras whose views overlap with that of the camera.
+    :param measured: pairs of cameras whose distance has been measured.
     """
     shares = {other: abs(axis @ (place - places[name])) / np.linalg.norm(place - places[name])
-              for other, place in places.items() if other != name}
+              for other, place in places.items() if other != name
+              and not {(name, other), (other, name)} & {*measured}}
     best = max(shares, key=lambda other: shares[other], default='')
     # Across the axis, a distance does not hold it.
     remedies = [f'measure its distance to {best} (--distance {name}:{best}=METRES)'] \

@@ -25,6 +25,8 @@ from ocp_ros.scenes.neighbours import nearest
 from ocp_ros.scenes.scene import MIN_POINTS, PLANE_NEIGHBOURS, SceneError
 from scipy.ndimage import maximum_filter, minimum_filter
 
+#: Metres: the largest median distance of points; those of clouds in millimetres have larger ones.
+MAX_MIDDLE_M = 100.0
 #: The number of rows of the map of free space, 1.5 degrees each.
 FREE_SPACE_ROWS = 120
 
@@ -48,11 +50,16 @@ class LiveView:
         points = points[np.isfinite(points).all(axis=1)]
         distance = np.linalg.norm(points, axis=1)
         kept = (distance > max(model.min_range, 1e-6)) & (distance <= model.max_range)
-        if np.count_nonzero(kept) < MIN_POINTS:
+        middle = float(np.median(distance[distance > 0.0])) if distance.any() else 0.0
+        if np.count_nonzero(kept) < MIN_POINTS or middle > MAX_MIDDLE_M:
+            remedy = ('if they are in millimetres, say so (--cloud-scale 0.001)'
+                      if middle > MAX_MIDDLE_M else
+                      'check the frame of the points, and that the camera is not covered')
             raise SceneError(
                 f'{name}: found {np.count_nonzero(kept)} of {len(points)} points between '
-                f'{model.min_range:g} and {model.max_range:g} m from the camera; expected at '
-                f'least {MIN_POINTS}; check unit and frame, and that the camera is not covered')
+                f'{model.min_range:g} and {model.max_range:g} m from the camera, with a median '
+                f'distance of {middle:.3g} m; expected at least {MIN_POINTS}, nearer than '
+                f'{MAX_MIDDLE_M:g} m; {remedy}')
         self.points, self._distance = points[kept], distance[kept]
         self.patches = patches_of(self.points, name)
 

@@ -21,14 +21,14 @@ sensor makes in every frame are the same in both, so that a camera that has not 
 the millimetre, and no scan is needed.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 import io
 from pathlib import Path
 from typing import NamedTuple
 import zipfile
 
 import numpy as np
-from ocp_ros.geometry.cameras import heading_of, Pose, rotation_matrix
+from ocp_ros.geometry.cameras import CameraModel, heading_of, Pose, rotation_matrix
 from ocp_ros.registration.alignment import (
     aligned_poses,
     AlignmentStage,
@@ -47,6 +47,7 @@ from ocp_ros.registration.joint_alignment import (
 )
 from ocp_ros.registration.live_view import LiveView
 from ocp_ros.registration.mutual_registration import register_mutually
+from ocp_ros.registration.steady_cloud import steady_cloud, two_groups
 from ocp_ros.util.files import read_regular, write_atomically
 from ocp_ros.util.settings import ConfigurationError
 from scipy.spatial.transform import Rotation
@@ -147,6 +148,24 @@ def movements_since(references: Mapping[str, LiveView], views: Mapping[str, Live
                 found[name] = Movement(relative_pose(one.pose, poses[name]), metres,
                                        float(np.rad2deg(radians)), one.overlap, by_others=True)
     return found
+
+
+def movement_within(frames: Sequence[np.ndarray]) -> tuple[np.ndarray, Movement] | None:
+    """
+    Find out whether a camera was moved while its frames were taken.
+
+    :param frames: F clouds (N, 3), metres, body frame, N may differ.
+    :returns: (F,) bool, which frames are not of the pose of the first one, and how the camera has
+        moved between both; None if it stood still.
+    :raises SceneError: if frames have too few points.
+    """
+    if (others := two_groups(frames)) is None:
+        return None
+    first, second = (LiveView(steady_cloud([frame for frame, other in zip(frames, others)
+                                            if other == one]), CameraModel(0.0, 1e6))
+                     for one in (False, True))
+    movement = movement_since(first, second)
+    return (others, movement) if movement.has_moved else None
 
 
 def _held_movement(pose: Pose, certainty: Certainty) -> tuple[float, float]:

@@ -69,6 +69,9 @@ TURNS, SHIFTS, KEPT = 8, 8, 4
 BEAM = 3
 #: Metres and radians: likely poses of a camera that differ by more than either are not the same.
 APART = 0.2, np.deg2rad(6.0)
+#: From body axes to those of a camera upside down, and the sines of how much a floor is tilted to
+#: one side: of a doubtful one at least, and of one below a camera upside down at most.
+UPSIDE_DOWN, MAX_TILTS = np.diag([1.0, -1.0, -1.0]), (0.26, 0.09)
 #: How all cameras are registered together.
 JOINT_STAGES = NEAR_STAGE, AlignmentStage((0.1, 0.06), (3.0, 1.5), 16)
 
@@ -116,13 +119,47 @@ class LevelView(NamedTuple):
         """Compare what two cameras see, without floor and ceiling."""
         return comparison(self.view, pose, other.view, other_pose, self.telling, other.telling)
 
+    @property
+    def is_turned(self) -> bool:
+        """Return whether the camera hangs upside down."""
+        return bool(self.pose.rotation[2, 2] < 0.0)
+
+    @property
+    def may_be_turned(self) -> bool:
+        """Return whether what is taken as the floor may be the ceiling."""
+        more_tops, highest = self._tops
+        return more_tops < -0.01 and self.pose.position[2] < 0.5 * highest
+
+    @property
+    def _tops(self) -> tuple[float, float]:
+        """Return the share of tops of things, less that of undersides, and the largest height."""
+        height = self.view.patches.points @ self.pose.rotation[2] + self.pose.position[2]
+        up = self.view.patches.normals @ self.pose.rotation[2]
+        highest = float(np.percentile(height, 99.5))
+        return (float(np.mean((up > 0.8) & (height > BANDS[0][0])) - np.mean(
+            (up < -0.8) & (height > BANDS[0][0]) & (height < highest - BANDS[0][0]))), highest)
+
     @classmethod
     def of(cls, view: LiveView) -> 'LevelView | None':
-        """Find the floor in a view; None if there is none."""
-        floor = floor_of(view.patches.points, view.patches.normals, view.patches.deviation)
+        """Find the floor in a view, also of a camera upside down; None if there is none."""
+        upright, turned = cls._on_floor(view, np.eye(3)), cls._on_floor(view, UPSIDE_DOWN)
+        if turned is None or turned.may_be_turned:
+            return upright
+        # Of a camera upside down, the ceiling or a wall may look like a floor. A wall is tilted to
+        # one side.
+        tilts = [abs(one.pose.rotation[2, 1]) if one else 1.0 for one in (upright, turned)]
+        is_turned = upright is not None and upright.may_be_turned or (
+            tilts[0] > MAX_TILTS[0] and tilts[1] < MAX_TILTS[1] and turned._tops[0] > 0.0)
+        return turned if is_turned else upright
+
+    @classmethod
+    def _on_floor(cls, view: LiveView, turn: np.ndarray) -> 'LevelView | None':
+        """Find the floor in a view after a turn (3, 3) of its axes; None if there is none."""
+        points, normals, deviation = view.patches
+        floor = floor_of(points @ turn.T, normals @ turn.T, deviation)
         if floor is None:
             return None
-        normal, height = floor
+        normal, height = floor[0] @ turn, floor[1]
         ahead = np.array([1.0, 0.0, 0.0]) - normal[0] * normal
         ahead /= np.linalg.norm(ahead)
         pose = Pose(np.array([0.0, 0.0, height]),
@@ -137,11 +174,12 @@ class MutualRegistration(NamedTuple):
     The registered pose of a camera in the frame of the rig.
 
     :ivar pose: the pose; z is up and 0 on the floor.
-    :ivar overlap: how well the camera agrees with all others, see
+    :ivar overlap: how well the camera agrees with all others, at most 1, see
         :func:`~ocp_ros.registration.camera_registration.Comparison`.
     :ivar lead: the lead in agreement over the next distinct pose.
     :ivar certainty: the expected deviations against the first camera.
     :ivar refused: the reason why the pose must not be used; empty if it can be used.
+    :ivar note: what to check of a pose that is not refused; otherwise empty.
     """
 
     pose: Pose
@@ -149,6 +187,7 @@ class MutualRegistration(NamedTuple):
     lead: float
     certainty: Certainty
     refused: str
+    note: str = ''
 
 
 def floor_of(points: np.ndarray, normals: np.ndarray, deviation: np.ndarray
@@ -329,7 +368,8 @@ def _best_distinct(one: LevelView, other: LevelView, starts: Sequence[Pose]
 def register_mutually(views: Mapping[str, LiveView],
                       measured: Mapping[tuple[str, str], float] | None = None,
                       known: Mapping[str, Pose] | None = None,
-                      carried: Mapping[str, Carried] | None = None
+                      carried: Mapping[str, Carried] | None = None,
+                      left_out: Collection[tuple[str, str]] = ()
                       ) -> tuple[dict[str, MutualRegistration], dict[str, str]]:
     """
     Register cameras to each other.
@@ -338,14 +378,17 @@ def register_mutually(views: Mapping[str, LiveView],
     :param measured: measured distances between two cameras, metres, by their names.
     :param known: poses of some cameras, which keep them; all poses are then in their frame.
     :param carried: what was set down in the views of the cameras, by name; of all or of none.
+    :param left_out: measured distances that are not used.
     :returns: the registrations of the cameras without a known pose, and the reasons why cameras
         have none, by name. In the frame of the poses, unless some are known, z is up and 0 on the
         floor, x is along the walls, and the lowest corner of what all cameras see is the origin.
     """
     known = known or {}
     level = {name: one for name, view in views.items() if (one := LevelView.of(view)) is not None}
-    reasons = {name: 'it sees no floor; tilt it down' for name in views if name not in level}
+    reasons = {name: 'it sees no floor; tilt it down, or if it hangs upside down, turn its '
+               'images by 180 degrees' for name in views if name not in level}
     names, measured, carried = list(level), measured or {}, carried or {}
+    used = {pair: metres for pair, metres in measured.items() if pair not in left_out}
     met = {(names[one.camera], names[one.other]): one for one in meetings_between(names, carried)}
     links = {(a, b): pair_poses(level[a], level[b], met.get((a, b))) for k, a in enumerate(names)
              for b in names[k + 1:] if a not in known or b not in known}
@@ -355,7 +398,7 @@ def register_mutually(views: Mapping[str, LiveView],
     reasons |= {name: 'it agrees with no other camera: too little of what it sees is seen by '
                 'others; turn it to what another one sees' for name in names if name not in poses}
     if poses.keys() <= known.keys():
-        return _without_box(views, measured, known) if met else ({}, reasons)
+        return _without_box(views, measured, known, left_out) if met else ({}, reasons)
     while True:
         totals = {name: _total(level, poses, name, poses[name]) for name in poses}
         anchors = [name for name in poses if name in known] or [
@@ -363,7 +406,7 @@ def register_mutually(views: Mapping[str, LiveView],
         rig = {name: RigCamera.of(views[name].patches,
                                   carried=carried[name][:2] if carried else None)
                for name in poses}
-        joint = _registered(rig, poses, anchors, measured, carried)
+        joint = _registered(rig, poses, anchors, used, carried)
         # A camera at a wrong pose also moves the others.
         contradicted = {name: _contradicted(level, joint, name) for name in joint
                         if name not in known}
@@ -377,9 +420,10 @@ def register_mutually(views: Mapping[str, LiveView],
         del poses[worst]
         if len(poses) < 2 or poses.keys() <= known.keys():
             return {}, reasons | dict.fromkeys(
-                poses.keys() - known.keys(), 'no other camera is left that agrees with it')
+                poses.keys() - known.keys(), 'no other camera is left that agrees with it; turn '
+                'it to what another one sees, or give a scan')
     if carried and is_contradicted(carried, views, joint):
-        return _without_box(views, measured, known)
+        return _without_box(views, measured, known, left_out)
     leads = {name: _lead(level, links, rig, poses, joint, name, carried) for name in joint
              if name not in known}
     if not known:
@@ -388,7 +432,7 @@ def register_mutually(views: Mapping[str, LiveView],
                                    JOINT_STAGES[-1].kernel_widths[1])
     ordered, at = list(rig.values()), list(joint.values())
     pairs = overlapping_pairs(ordered, at, limits[0])
-    constraints = all_constraints(ordered, at, pairs, *limits, distances_between(placed, measured))
+    constraints = all_constraints(ordered, at, pairs, *limits, distances_between(placed, used))
     found = {}
     for name, certainty in zip(placed, certainties(
             constraints, placed, [placed.index(name) for name in anchors], at)):
@@ -398,17 +442,19 @@ def register_mutually(views: Mapping[str, LiveView],
         if refused and certainty.metres[0] > MUTUAL_LIMITS.max_metres:
             refused += advice(name, certainty.slide_axes[0],
                               {other: pose.position for other, pose in joint.items()},
-                              [placed[b] for a, b in pairs if placed[a] == name])
-        found[name] = MutualRegistration(joint[name], totals[name], leads[name], certainty,
-                                         refused)
+                              [placed[b] for a, b in pairs if placed[a] == name], measured)
+        # Several others may see the same point.
+        found[name] = MutualRegistration(joint[name], min(totals[name], 1.0), leads[name],
+                                         certainty, refused,
+                                         '' if refused else _note_of(level[name]))
     return found, reasons
 
 
 def _without_box(views: Mapping[str, LiveView], measured: Mapping[tuple[str, str], float],
-                 known: Mapping[str, Pose]
+                 known: Mapping[str, Pose], left_out: Collection[tuple[str, str]]
                  ) -> tuple[dict[str, MutualRegistration], dict[str, str]]:
     """Register cameras without what was set down, and say so; see :func:`register_mutually`."""
-    found, reasons = register_mutually(views, measured, known)
+    found, reasons = register_mutually(views, measured, known, left_out=left_out)
     return ({name: one._replace(refused=one.refused and one.refused + NOT_ALIKE)
              for name, one in found.items()},
             {name: reason + NOT_ALIKE for name, reason in reasons.items()})
@@ -522,6 +568,18 @@ def _levelled(level: Sequence[LevelView], poses: Sequence[Pose]) -> list[Pose]:
     return [Pose(pose.position - origin, pose.rotation) for pose in poses]
 
 
+def _note_of(level: LevelView) -> str:
+    """Return what to check of the floor in an accepted view; empty if it is certain."""
+    if level.is_turned:
+        return ('it hangs upside down by the floor and the tops that it sees; if it does not, '
+                'correct the axes of its cloud (--cloud-frame)')
+    if level.may_be_turned:
+        return (f'what was taken as the floor, {level.pose.position[2]:.1f} m below it, may be '
+                'the ceiling: more level surfaces face down than up; if it hangs upside down, '
+                'turn its images by 180 degrees')
+    return ''
+
+
 def _refusal(total: float, lead: float, certainty: Certainty) -> str:
     """Return the reason why a pose must not be used; empty if it can be used."""
     if total < MUTUAL_LIMITS.min_total:
@@ -534,7 +592,7 @@ def _refusal(total: float, lead: float, certainty: Certainty) -> str:
                 'see it (--box)')
     if certainty.loose_motions:
         return (f'it {" and ".join(certainty.loose_motions)}: too little of what it sees is seen '
-                'by others')
+                'by others; turn it to what another one sees')
     if (certainty.metres[0] > MUTUAL_LIMITS.max_metres
             or certainty.degrees[0] > MUTUAL_LIMITS.max_degrees):
         return (f'it may be off by {1000.0 * certainty.metres[0]:.0f} mm and '

@@ -31,6 +31,10 @@ MAX_FRAMES = 30
 BEAM_ROWS = 600
 #: The least share of the frames with a measurement in a beam that have to show a surface there.
 MIN_SHARE = 0.5
+#: Rows of wide beams in which frames are compared, 1.5 degrees each; the percentile of their
+#: differences that counts, so that people in most beams change little; and how much more frames of
+#: two groups differ than those of one: up to 1.4 without a movement, 1.7 or more after 1 degree.
+FRAME_ROWS, COMPARED_PERCENTILE, MIN_APART = 120, 30, 1.5
 #: The largest number of points of a frame; larger frames are thinned evenly.
 MAX_FRAME_POINTS = 100_000
 
@@ -89,3 +93,36 @@ def _frames_of(group: np.ndarray, frame: np.ndarray, frames: int, groups: int) -
     """Return the number of different frames among the points of each group: (groups,)."""
     pairs = np.unique(group.astype(np.int64) * frames + frame)
     return np.bincount(pairs // frames, minlength=groups)
+
+
+def two_groups(frames: Sequence[np.ndarray]) -> np.ndarray | None:
+    """
+    Part frames into two groups that show different distances in the same directions.
+
+    :param frames: as for :func:`steady_cloud`.
+    :returns: (F,) bool, which frames are not of the group of the first one; None if all are alike,
+        or if there are fewer than two or a sixth of a group, whose frames :func:`steady_cloud`
+        leaves out.
+    """
+    maps = np.full((len(frames), 2 * FRAME_ROWS ** 2), np.nan)
+    for number, frame in enumerate(map(few_measured, frames)):
+        distance = np.linalg.norm(frame, axis=1)
+        row, column = direction_cells(frame, distance, FRAME_ROWS)
+        cell = row * 2 * FRAME_ROWS + column
+        order = np.lexsort((distance, cell))
+        cells, begin, count = np.unique(cell[order], return_index=True, return_counts=True)
+        maps[number, cells] = distance[order][begin + count // 2]
+    # Frames without a common beam are alike: one beam more is the same in all.
+    maps = np.column_stack([maps[:, np.isfinite(maps).sum(axis=0) >= 2], np.ones(len(maps))])
+    # Standard deviations by which each two frames differ.
+    apart = np.array([np.nanpercentile(np.abs(maps - one) / standard_deviation(one),
+                                       COMPARED_PERCENTILE, axis=1) for one in maps])
+    first, second = np.unravel_index(apart.argmax(), apart.shape)
+    groups = apart[first] > apart[second]
+    groups ^= groups[0]
+    between = groups[:, None] != groups
+    within = ~between & ~np.eye(len(groups), dtype=bool)
+    if (min(np.count_nonzero(groups), np.count_nonzero(~groups)) < max(2, len(groups) / 6)
+            or apart[between].mean() < MIN_APART * apart[within].mean()):
+        return None
+    return groups

@@ -17,12 +17,13 @@
 from pathlib import Path
 import re
 
-from benchmarks.calibration_bench import cast, off
+from benchmarks.calibration_bench import cast, off, shares
 from benchmarks.calibration_conditions import hall, hung_in_hall
 from conftest import blank_report, box_sides, printed, refused
 import numpy as np
 from ocp_ros.cli.main import main
 from ocp_ros.geometry.cameras import CameraModel, heading_of, OPTICAL_TO_BODY, Pose, TO_BODY
+from ocp_ros.registration import calibration
 from ocp_ros.registration.alignment import (
     matches_of,
     Patches,
@@ -220,6 +221,25 @@ def test_a_near_pose_that_fits_as_well_is_named(nearer, named):
     assert bool(found.others) == named and (not named or found.refused)
 
 
+def test_of_poses_that_fit_as_well_the_nearest_is_taken_as_the_message_says():
+    # Boards at a wall repeat after 1.2 m.
+    rng = np.random.default_rng(0)
+    boards = [rng.uniform([x + along, 2.0, -1.2], [x + along, 3.0, 1.2], (2500, 3))
+              for x in np.arange(-3.6, 3.7, 1.2) for along in (0.0, 0.35, 0.55)]
+    room = np.concatenate([plane(3.0), plane(-1.5)[:, [0, 2, 1]], *boards])
+    scan, model = ScanSurfaces(Scene(room.astype(np.float32))), CameraModel(0.1, 6.0)
+    true = Pose.of(np.array([0.0, 0.0, 0.0, 0.5 * np.pi, 0.0, 0.0]))
+    cloud = (room - true.position) @ true.rotation
+    slopes = np.abs(cloud[:, 1:]) / np.maximum(cloud[:, :1], 1e-6)
+    view = LiveView(cloud[(cloud[:, 0] > 0.0) & (slopes < 0.6).all(axis=1)], model)
+    start = off(true, 0.1, 2.0, rng)
+    refusal = register(scan, view, start, model).refused
+    near = float(re.search(r'--near (\S+)\)', refusal)[1])
+    found = register(scan, view, start, model, near)
+    assert not found.refused
+    assert_near(found.pose, true)
+
+
 @pytest.mark.parametrize('known', [True, False])
 def test_a_partition_that_was_scanned_from_its_other_side_does_not_hold_a_camera(known):
     # The wall behind the partition is out of reach, so that its thickness would displace the pose.
@@ -409,17 +429,36 @@ def test_what_stays_in_most_frames_is_kept_and_its_noise_falls():
     assert steady_cloud(frames[:1]) is frames[0]
 
 
-@pytest.mark.parametrize('factor', [1.0, 1.02])
-def test_a_camera_with_wrong_depths_is_named_and_placed_by_right_ones(scan, factor):
+@pytest.mark.parametrize('factor', [1.0, 1.006, 1.02])
+def test_a_camera_with_wrong_depths_is_named_and_placed_by_right_ones(scan, factor, monkeypatch):
     start = off(TRUE, 0.2, 5.0, np.random.default_rng(2))
     placement = placement_of(rig_of(1, SENSOR), np.array([
         [*start.position, *heading_of(start.rotation)]]))
     name = placement.cameras[0].camera.name
-    found = calibrate(scan, placement, {name: factor * seen_by(TRUE)})[0][name]
+    carried, thing = [], np.ones((100, 3))
+    monkeypatch.setattr(calibration, 'carried_by', lambda seen, _: carried.append(seen) or {})
+    found = calibrate(scan, placement, {name: factor * seen_by(TRUE)},
+                      seen={name: {0: [thing]}})[0][name]
     assert_near(found.pose, TRUE)
     named = re.match(r'its depths are (\S+) % too long', found.note)
     assert bool(named) == (factor > 1.0) == bool(found.note)
-    assert not named or float(named[1]) == pytest.approx(100.0 * (factor - 1.0), abs=0.3)
+    assert not named or float(named[1]) == pytest.approx(100.0 * (factor - 1.0), abs=0.2)
+    # What was set down is as far away as the rest of the cloud.
+    assert carried[0][name][0][0] == pytest.approx(thing / factor, rel=0.002)
+
+
+def test_depths_that_may_be_wrong_are_named_with_what_that_would_do(scan, view, monkeypatch):
+    placement = placement_of(rig_of(1, SENSOR), ROW[None])
+    name = placement.cameras[0].camera.name
+    found = {name: registered_nearby(scan, view, TRUE, MODEL)}
+    before, used = found[name].pose, {name: view.points}
+    # Once corrected, nothing is left of the error, but it is uncertain by half of itself.
+    shares = iter([(0.006, 0.003), (0.0, 0.003)])
+    monkeypatch.setattr(calibration, 'depth_share', lambda *_: next(shares))
+    assert _correct_depths(scan, placement, found, used, 1.6) == {name: 1.0}
+    assert found[name].pose is before and used[name] is view.points
+    metres = float(re.search(r'0\.6 % too long.* off by (\d+) mm', found[name].note)[1]) / 1000.0
+    assert 0.005 < metres < 0.05
 
 
 def test_depths_are_not_corrected_by_walls_that_look_alike_with_longer_ones():
@@ -455,3 +494,10 @@ def test_a_neighbour_holds_a_camera_where_the_scan_does_not():
         assert len(certainty.loose_motions) == loose
         assert {name for one in certainty.held_by for name in one} == (
             {'scan', 'held'} if used else {'scan'})
+
+
+def test_a_share_that_was_not_measured_is_not_recorded():
+    rows = [{'refused': '', 'right': True}, {'refused': 'it sees no floor', 'right': False}]
+    assert 'within_stated_90' not in shares(rows) and shares(rows)['right'] == 0.5
+    stated = shares([*rows, {'refused': '', 'right': True, 'normalised': [0.5, -2.0]}])
+    assert stated['within_stated_90'] == 0.5

@@ -60,7 +60,7 @@ def carried_in(frames, views):
                        in zip(NAMES, frames)}, dict.fromkeys(NAMES, MODEL))
 
 
-def registered(views, carried):
+def registered(views, carried, measured=None):
     """Register both cameras to a scan; the second one begins 30 cm aside along its wall."""
     scan = ScanSurfaces(Scene(sample_surfaces(hall(), 9000, np.random.default_rng(0))))
     unknown = Certainty(np.eye(3), np.ones(3), np.eye(3), np.ones(3))
@@ -68,7 +68,7 @@ def registered(views, carried):
     alone = {name: Registration(pose, 0.0, 0.9, 0.0, unknown, 0.0, 0.0, '')
              for name, pose in zip(NAMES, starts)}
     return register_together(scan, {name: (view, MODEL) for name, view in views.items()}, alone,
-                             carried=carried)['wall']
+                             measured, carried)['wall']
 
 
 def test_a_box_holds_a_camera_along_a_bare_wall(frames, views):
@@ -88,6 +88,14 @@ def test_a_box_holds_a_camera_along_a_bare_wall(frames, views):
     away, turn = relative_pose(both['wall'].pose, both['corner'].pose).away_from(
         relative_pose(TRUE[1], TRUE[0]))
     assert away < 0.02 and turn < np.deg2rad(0.7)
+
+
+@pytest.mark.parametrize('wrong', [0.0, 0.1])
+def test_a_distance_holds_a_camera_along_a_bare_wall_and_is_not_asked_for_again(views, wrong):
+    true = float(np.linalg.norm(TRUE[0].position - TRUE[1].position))
+    found = registered(views, {}, {NAMES: true + wrong})
+    assert '--distance' not in found.refused
+    assert abs(found.pose.position[0] - TRUE[1].position[0] - wrong) < 0.02
 
 
 def test_frames_of_different_moments_and_what_moves_hold_nothing(frames, views):

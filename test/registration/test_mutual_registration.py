@@ -27,11 +27,12 @@ from ocp_ros.geometry.cameras import (
     TO_BODY,
 )
 from ocp_ros.registration import mutual_registration
-from ocp_ros.registration.alignment import AlignmentStage, Patches
+from ocp_ros.registration.alignment import AlignmentStage, Certainty, Patches
 from ocp_ros.registration.calibration import (
     calibrate_mutually,
     model_of_cloud,
     since_reference,
+    without_scan,
 )
 from ocp_ros.registration.joint_alignment import (
     advice,
@@ -42,10 +43,20 @@ from ocp_ros.registration.joint_alignment import (
     joint_poses,
     relative_pose,
     RigCamera,
+    with_distances,
 )
 from ocp_ros.registration.live_view import LiveView
-from ocp_ros.registration.movement import Movement, movement_since, way_back
-from ocp_ros.registration.mutual_registration import LevelView, register_mutually
+from ocp_ros.registration.movement import (
+    Movement,
+    movement_since,
+    movement_within,
+    way_back,
+)
+from ocp_ros.registration.mutual_registration import (
+    LevelView,
+    MutualRegistration,
+    register_mutually,
+)
 from ocp_ros.registration.steady_cloud import steady_cloud
 from ocp_ros.rig.placement_file import load_placement, placement_of
 from ocp_ros.rig.rig_file import rig_of
@@ -104,6 +115,35 @@ def test_cameras_find_each_other_and_one_of_another_room_is_refused(clouds):
         assert_near(relative_pose(one.pose, base.pose), relative_pose(TRUE[k], TRUE[0]), 0.02, 0.7)
     heights = [found[f'cam_{k}'].pose.position[2] for k in range(3)]
     assert heights == pytest.approx([2.2] * 3, abs=0.02)
+
+
+def test_cameras_upside_down_are_placed_upside_down_and_named(clouds):
+    upside_down = np.diag([1.0, -1.0, -1.0])
+    turned = {name: cloud @ upside_down for name, cloud in clouds.items()}
+    found = without_scan({**turned, 'cam_0': clouds['cam_0']}, SENSOR, '')
+    poses = [Pose.of(placed.pose) for placed in found.placement.cameras]
+    assert ['upside down' in row['note'] for row in found.rows] == [False, True, True]
+    for k in (1, 2):
+        true = Pose(TRUE[k].position, TRUE[k].rotation @ upside_down)
+        assert_near(relative_pose(poses[k], poses[0]), relative_pose(true, TRUE[0]), 0.02, 0.7)
+    assert [pose.position[2] for pose in poses] == pytest.approx([2.2] * 3, abs=0.02)
+
+
+def test_a_ceiling_that_may_be_the_floor_is_no_certain_floor():
+    # A camera upside down sees the ceiling, and shelves and the floor above that.
+    x, y = (axis.ravel() for axis in np.meshgrid(np.linspace(1.0, 4.0, 90),
+                                                 np.linspace(-1.5, 1.5, 90)))
+    for turn in (np.eye(3), np.diag([1.0, -1.0, -1.0])):
+        shelf = (np.abs(x - 2.5) < 0.3) & (np.abs(y) < 0.7)
+        z = np.where(shelf, -1.0, -1.9)
+        ceiling = np.column_stack([x, y, np.full(len(x), 0.6)])[::2]
+        cloud = np.vstack([np.column_stack([x, y, z]), ceiling]) @ turn
+        level = LevelView.of(LiveView(cloud, model_of_cloud(cloud)))
+        assert level.pose.position[2] == pytest.approx(1.9, abs=0.02)
+        assert level.is_turned == (turn[2, 2] < 0.0) and not level.may_be_turned
+        # The same with the ceiling as floor.
+        other = Pose(np.array([0.0, 0.0, 0.6]), np.diag([1.0, -1.0, -1.0]) @ turn)
+        assert level._replace(pose=other).may_be_turned
 
 
 def test_a_camera_at_a_wrong_pose_is_named_and_does_not_move_the_others(clouds, monkeypatch):
@@ -209,6 +249,48 @@ def test_files_alone_give_a_placement_a_room_and_references(clouds, capsys, tmp_
                 relative_pose(moved, TRUE[0]), 0.025, 0.7)
 
 
+def test_a_camera_that_was_moved_between_its_frames_is_named(capsys, tmp_path, monkeypatch):
+    rays, rng = MeshRays(mesh_of(plan_of(SEED))), np.random.default_rng(5)
+    before = cast(rays, TRUE[0], SENSOR, 7, 2, rng, 3)
+    after = cast(rays, off(TRUE[0], 0.03, 2.0, rng), SENSOR, 5, 2, rng, 3)
+    others, movement = movement_within([*before, *after])
+    assert others.tolist() == [False] * 7 + [True] * 5 and not movement.is_lost
+    assert movement.degrees == pytest.approx(2.0, abs=0.4)
+    # People who walk about are no movement, nor is a camera covered in few frames.
+    assert movement_within(before) is None
+    assert movement_within([*before, *(0.1 * frame for frame in after[:1])]) is None
+    # Frames of another camera are mixed with its own.
+    mixed = [frame for pair in zip(before, cast(rays, TRUE[1], SENSOR, 7, 0, rng, 4))
+             for frame in pair]
+    others, movement = movement_within(mixed)
+    assert others.tolist() == [False, True] * 7 and movement.is_lost
+    monkeypatch.chdir(tmp_path)
+    Path('door').mkdir()
+    for number, frame in enumerate([*before, *after]):
+        np.save(f'door/{number:02}.npy', frame @ OPTICAL_TO_BODY)
+    np.save('window.npy', seen_from(TRUE[1]) @ OPTICAL_TO_BODY)
+    message = refused(capsys, 'calibrate', '--clouds', 'door', 'window.npy', '--sensor', 'd455')
+    assert 'door: ' in message and '07.npy' in message
+
+
+def test_clouds_in_millimetres_are_named_and_read(clouds, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name, cloud in clouds.items():
+        np.save(f'{name}.npy', 1000.0 * cloud @ OPTICAL_TO_BODY)
+    names = [f'{name}.npy' for name in clouds]
+    for sensor in ([], ['--sensor', 'd455']):
+        message = refused(capsys, 'calibrate', '--clouds', *names, *sensor)
+        assert message.count('--cloud-scale 0.001') == 3
+    rows = printed(capsys, 'calibrate', '--clouds', *names, '--cloud-scale', 0.001)['cameras']
+    assert [row['refused'] for row in rows] == ['', '', '']
+
+
+def test_no_overlap_is_more_than_all(clouds):
+    # Two cameras see the same.
+    rows = without_scan({**clouds, 'twin': clouds['cam_0'][::2] + 1e-4}, SENSOR, '').rows
+    assert all(0.0 < row['overlap'] <= 1.0 for row in rows)
+
+
 def test_a_camera_that_lost_its_reference_is_found_by_the_others(clouds):
     # It hangs in another corner.
     now = Pose.of(np.array([SIZE[0] - 0.3, SIZE[1] - 0.4, 2.1, np.arctan2(
@@ -262,6 +344,47 @@ def test_a_measured_distance_holds_a_camera_along_it():
     assert '--distance a:b=METRES' in advice('a', np.array([1.0, 0.0, 0.0]), places)
     assert advice('a', np.array([0.0, 0.0, 1.0]), places) == ''
     assert advice('a', np.array([0.0, 0.0, 1.0]), places, ['c']).endswith('c sees it too (--box)')
+
+
+@pytest.mark.parametrize('wrong', [0.0, 0.02])
+def test_a_wrong_distance_between_cameras_that_the_clouds_hold_moves_none(clouds, wrong):
+    free = without_scan(clouds, SENSOR, '').rows
+    true = np.linalg.norm(TRUE[0].position - TRUE[1].position)
+    rows = without_scan(clouds, SENSOR, '', {('cam_0', 'cam_1'): true + wrong}).rows
+    assert [row['refused'] for row in rows] == ['', '', '']
+    assert [row['position'] for row in rows] == [row['position'] for row in free]
+    by_clouds = np.linalg.norm(np.subtract(free[0]['position'], free[1]['position']))
+    for row, named in zip(rows, [wrong > 0.0, wrong > 0.0, False]):
+        assert bool(row['note']) == named
+        assert not named or all(f'{metres:.3f} m' in row['note']
+                                for metres in (true + wrong, by_clouds))
+
+
+@pytest.mark.parametrize('wrong, accepted', [(0.0, True), (0.3, True), (0.0, False), (0.3, False)])
+def test_a_distance_that_holds_a_camera_is_used_and_is_not_asked_for_again(wrong, accepted):
+    # The clouds hold the camera b to 3 cm along x alone.
+    loose = Certainty(np.eye(3), np.array([0.03, 0.0, 0.0]), np.eye(3), np.zeros(3),
+                      covariance=np.diag([0.0, 0.0, 0.0, 9e-4, 0.0, 0.0]))
+    held = loose._replace(covariance=np.zeros((6, 6)))
+
+    def register(left_out):
+        """Return both cameras as without the distance, or as with it."""
+        x, why = (1.0, 'it may slide') if left_out else (
+            1.0 + wrong, '' if accepted else 'it may slide')
+        return {name: MutualRegistration(Pose(np.array([at, 0.0, 0.0]), np.eye(3)), 1.0, 1.0,
+                                         certainty, refused)
+                for name, at, certainty, refused in (
+                    ('a', 0.0, held, ''), ('b', x, loose if left_out else held, why))}, {}
+
+    found, _ = with_distances(register, {('a', 'b'): 1.0 + wrong})
+    assert found['b'].pose.position[0] == 1.0 + wrong and bool(found['b'].refused) != accepted
+    said = found['b'].note if accepted else found['b'].refused
+    assert ('1.300 m' in said and '1.000 m' in said) == (wrong > 0.0)
+    # Nor is it asked for where it was measured already.
+    places = {'a': np.zeros(3), 'b': np.array([1.0, 0.0, 0.0]), 'c': np.array([2.0, 0.2, 0.0])}
+    assert 'b:a=' in advice('b', np.eye(3)[0], places)
+    assert 'b:c=' in advice('b', np.eye(3)[0], places, (), [('a', 'b')])
+    assert advice('b', np.eye(3)[0], places, (), [('a', 'b'), ('b', 'c')]) == ''
 
 
 @pytest.mark.parametrize('arguments, words', [
