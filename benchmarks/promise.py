@@ -166,7 +166,7 @@ def table_of(rows: list[dict]) -> dict:
     share = share_of(whole)
     found = {'offset': OFFSET, 'unscanned': share}
     for name, under in (('mount_ceiling', True), ('mount_others', False)):
-        some = [row for row in whole if (RIGS[row['rig']][1]['on'] == 'ceiling') == under]
+        some = [row for row in whole if row['rig'].endswith('ceiling') == under]
         found[name] = {'plans': len(some), 'ratios': quantiles(some, share)}
     for surface in ('ceiling', 'floor'):
         found[surface] = missed_of([row for row in rows if row['missing'] == surface],

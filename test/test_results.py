@@ -103,8 +103,8 @@ SENTENCES = [
      'tdsa_100 bpso_1000'),
     (README, 'it takes {} ms per camera, and its F1 score against ray casting is {}',
      'engine/{key}/fine.40000', 'ms f1'),
-    (ENGINE, 'plans with `mesh` have {} times the error of plans with `fine` on sampled points, at '
-     '{} instead of {} ms', 'solid_rooms/{key}', 'delivered_mesh_over_fine ms_mesh ms_fine'),
+    (ENGINE, 'plans with `mesh` have {} times the error of plans with `fine` on sampled points, '
+     'at {} instead of {} ms', 'solid_rooms/{key}', 'delivered_mesh_over_fine ms_mesh ms_fine'),
     (ENGINE, 'the shares are {}, {} and {}', 'false_visibility/means/{key}/blocked',
      'all proved proved_known_scans'),
     (ENGINE, 'F1 is {}, {} and {}', 'false_visibility/means/{key}/f1',
