@@ -14,6 +14,7 @@
 
 """Managed nodes: who commands, life cycles, and parameters that change while a node runs."""
 
+from functools import partial
 import gc
 
 from conftest import box_sides, counted, header_at, SMALL, status
@@ -272,11 +273,11 @@ def test_a_node_that_cannot_be_configured_says_why_and_tries_again(
 def test_a_node_that_has_ended_leaves_the_graph_at_once(graph, manager):
     """Also while Python collects no garbage: what it is collected beside would be disturbed."""
     def known():
-        return 'policy_node' in manager.node.get_node_names()
+        return ('policy_node', '/ended') in manager.node.get_node_names_and_namespaces()
 
     gc.disable()
     try:
-        policy = graph.add(PolicyNode, planner='lookahead')
+        policy = graph.add(partial(PolicyNode, namespace='ended'), planner='lookahead')
         graph.until(known)
         graph.remove(policy)
         graph.until(lambda: not known(), timeout=15.0)
