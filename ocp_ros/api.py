@@ -32,9 +32,9 @@ from ocp_ros.rig.placement_file import (
     placement_of,
     save_placement,
 )
-from ocp_ros.rig.rig_config import OMNIDIRECTIONAL
 from ocp_ros.rig.rig_file import load_rig, Rig, rig_from, rig_of, with_count
 from ocp_ros.rig.schemas import PLACEMENT, RIG
+from ocp_ros.rig.sensors import OMNIDIRECTIONAL
 from ocp_ros.rooms.scene_source import READING, room_named, ROOM_POINTS, sha256_of
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.scenes.scene_files import scene_of

@@ -23,7 +23,7 @@ offset from ``promise.json``, which ``benchmarks/promise.py`` writes. What a sca
 an aisle, for example, cameras mostly do not see either: a share of it counts as error.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib.resources import files
 import json
@@ -69,9 +69,7 @@ def evaluate_placement(problem: Problem, poses: np.ndarray) -> dict[str, Any]:
     fixed_angles = np.rad2deg(problem.fixed_poses[:, 3:]).ravel().tolist()
     rig_angles = np.rad2deg([*problem.rig.pitch, *problem.rig.rolls]).tolist()
     return {'scores': scores, 'broken': broken_by(problem.region, poses, scores), **improvement,
-            'expected': expected(scores['validation_error'], scores['depth_error_of_nothing'],
-                                 gaps_of(scene), scores['unscanned_error'],
-                                 problem.rig.mount.on == 'ceiling'),
+            'expected': expected_error(problem.objective, scores),
             'notes': [*problem.region.fixed_notes(),
                       *angle_notes(fixed_angles, problem.rig.models),
                       *angle_notes(rig_angles), *room_notes(scene),
@@ -403,6 +401,18 @@ def expected(error: float, worst: float, missing: Sequence[str] = (), unscanned:
     # Less than the offset may still be more than nothing.
     return {'depth_error': max(median, ratios[0] * missed), 'low': low, 'high': high,
             **({'sparse': True} if 'sparse' in missing else {})}
+
+
+def expected_error(objective: Objective, scores: Mapping[str, Any]) -> dict[str, float]:
+    """
+    Return :func:`expected` for a placement in a room.
+
+    :param objective: of the rig in the room.
+    :param scores: of the placement, from :func:`rig_scores`.
+    """
+    return expected(scores['validation_error'], scores['depth_error_of_nothing'],
+                    gaps_of(objective.simulator.scene), scores['unscanned_error'],
+                    objective.rig.mount.on == 'ceiling')
 
 
 def missing_surface_notes(missing: Sequence[str]) -> list[str]:

@@ -17,12 +17,7 @@
 from dataclasses import dataclass
 
 from ocp_ros.geometry.cameras import CameraModel
-from ocp_ros.rig.sensors import SENSORS
 from ocp_ros.util.settings import ConfigurationError, MAX_CAMERAS, setting
-
-OMNIDIRECTIONAL = 'omnidirectional'
-#: The values of ``sensor`` that a camera of a rig file may have.
-KINDS = (OMNIDIRECTIONAL, *SENSORS)
 
 
 @dataclass(frozen=True)

@@ -27,9 +27,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from ocp_ros.geometry.cameras import CameraModel, DepthNoise
 from ocp_ros.geometry.measurement_quality import QualityLimits
-from ocp_ros.rig.rig_config import KINDS, OMNIDIRECTIONAL, RigConfig
+from ocp_ros.rig.rig_config import RigConfig
 from ocp_ros.rig.schemas import MAX_NAME_LENGTH, MIN_FOV_DEG, MODEL, PIXEL_DENSITIES, RIG
-from ocp_ros.rig.sensors import PRICES, SENSORS
+from ocp_ros.rig.sensors import KINDS, OMNIDIRECTIONAL, PRICES, SENSORS
 from ocp_ros.rig.zones import Zone, zone_of, zones_of
 from ocp_ros.util.settings import ConfigurationError, MAX_CAMERAS
 from ocp_ros.util.yaml_files import describe, Document, document_of, nearest, read_document, Way

@@ -20,7 +20,7 @@ Messages about an invalid file use their descriptions and examples.
 """
 
 from ocp_ros.geometry.visibility import MESH, PRESETS
-from ocp_ros.rig.rig_config import KINDS
+from ocp_ros.rig.sensors import KINDS
 from ocp_ros.scenes.source_frame import UP_AXES
 from ocp_ros.util.settings import MAX_ROOM_POINTS, MIN_ROOM_POINTS
 from ocp_ros.util.yaml_files import (

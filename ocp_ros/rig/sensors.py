@@ -174,6 +174,9 @@ SENSORS = {
         'Velodyne, VLP-16 User Manual 63-9243: 1 to 100 m, 16 channels from -15 to +15 degrees, '
         '0.2 degrees of azimuth at 10 Hz, typical accuracy 30 mm'),
 }
+OMNIDIRECTIONAL = 'omnidirectional'
+#: The values of ``sensor`` that a camera of a rig file may have.
+KINDS = (OMNIDIRECTIONAL, *SENSORS)
 CURRENCY = 'USD'
 _AZURE = Price(399.0, 'Microsoft Store, sold until 2023', '2019-07')
 #: By the name of a sensor; sensors without a public list price have none.

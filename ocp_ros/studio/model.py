@@ -25,7 +25,7 @@ import numpy as np
 from ocp_ros.geometry.cameras import CameraModel, heading_of, rotation_matrix
 from ocp_ros.geometry.engine_config import EngineConfig, PROMISING
 from ocp_ros.geometry.packed_bits import unpack
-from ocp_ros.report.findings import broken_by, camera_scores, expected, gaps_of, rig_scores
+from ocp_ros.report.findings import broken_by, camera_scores, expected_error, rig_scores
 from ocp_ros.rig.feasible_region import FeasibleRegion, satisfies_spacing
 from ocp_ros.rig.motion import nearest_place
 from ocp_ros.rig.placement_file import as_written, created_by, Placement, placement_of
@@ -172,10 +172,7 @@ class Evaluation:
     @cached_property
     def expected_error(self) -> dict[str, float]:
         """Return the depth error to expect in the real room, and its interval, metres."""
-        simulator = self.problem.simulator
-        return expected(self.rig_scores['validation_error'], simulator.depth_error.worst,
-                        gaps_of(simulator.scene), self.rig_scores['unscanned_error'],
-                        self.problem.rig.mount.on == 'ceiling')
+        return expected_error(self.objective, self.rig_scores)
 
     def points_seen_by(self, camera: int) -> np.ndarray:
         """Return whether a camera sees each point: (N,) bool."""

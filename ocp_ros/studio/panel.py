@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 from ocp_ros.report.drawing.depth_image import NO_DEPTH_COLOUR
-from ocp_ros.rig.rig_config import KINDS as SENSORS
+from ocp_ros.rig.sensors import KINDS as SENSORS
 from ocp_ros.search.proof.certificate import Certificate
 from ocp_ros.studio import texts, zone_edits
 from ocp_ros.studio.model import Evaluation, State
