@@ -17,8 +17,8 @@ Measure under which conditions ``ocp calibrate`` finds cameras, and false alarms
 
     python -m benchmarks.calibration_conditions --record
 
-One condition is changed at a time. With a scan from tripods: the first guess, the frames and the
-people; and of a camera that sees one bare wall, whether a box was set down where another one sees
+One condition is changed at a time. With a scan from tripods: the first guess, the frames, the
+people and how far away the camera's surfaces are; and of a camera that sees one bare wall, whether a box was set down where another one sees
 it too. Without a scan, of two cameras: the share of points that both see, and the angle between
 their directions. ``--record`` also writes docs/reference/calibration_conditions.md.
 """
@@ -76,6 +76,8 @@ FRAMES, PEOPLE = 20, 1
 #: Metres and degrees of first guesses, frames, people: what is changed with a scan.
 GUESSES = ((0.1, 3.0), START, (1.0, 30.0))
 SEEN = ((1, PEOPLE), (5, PEOPLE), (FRAMES, 0), (FRAMES, PEOPLE), (FRAMES, 3))
+#: Metres that part cameras by the median distance of what they see.
+FAR = (2.0, 3.0)
 #: Shares of common points, degrees between two cameras, and how far a pair is from either.
 OVERLAPS, ANGLES, WITHIN = (0.1, 0.2, 0.4), (30.0, 60.0, 90.0), (0.04, 12.0)
 #: The common points of pairs at the angles.
@@ -109,6 +111,9 @@ TABLES = {
     'frames': Table('Number of clouds, with a scan', 'clouds of a camera',
                     ('1', '5', str(FRAMES))),
     'people': Table('People who walk about, with a scan', 'people in a cloud', ('0', '1', '3')),
+    'distance': Table('Distance of what a camera sees, with a scan', 'median distance of its points',
+                      (f'up to {FAR[0]:g} m', f'{FAR[0]:g} to {FAR[1]:g} m',
+                       f'from {FAR[1]:g} m')),
     'overlap': Table('Common points of two cameras, without a scan', 'points in common',
                      tuple(f'{100.0 * share:.0f} %' for share in OVERLAPS)),
     'box': Table('A camera that sees one bare wall, with a scan', 'remedy', ('none', '`--box`')),
@@ -128,7 +133,7 @@ def with_scan(seed: int, sensor: str) -> Iterator[dict]:
         usual = (frames, people) == (FRAMES, PEOPLE)
         conditions = [('frames', str(frames))] * (people == PEOPLE) + [
             ('people', str(people))] * (frames == FRAMES)
-        for guess, name in zip(GUESSES, TABLES['guess'].values):
+        for guess, guessed in zip(GUESSES, TABLES['guess'].values):
             if guess != START and not usual:
                 continue
             starts = [off(pose, *guess, rng) for pose in room.hangs]
@@ -138,10 +143,15 @@ def with_scan(seed: int, sensor: str) -> Iterator[dict]:
             begin = time.process_time()
             found, _ = calibrate(scan, placement, dict(zip(names, clouds)))
             seconds = (time.process_time() - begin) / len(names)
-            for condition in ([('guess', name)] * usual + conditions * (guess == START)):
+            distances = TABLES['distance'].values
+            for name, pose, cloud in zip(names, room.hangs, clouds):
+                far = float(np.median(np.linalg.norm(cloud, axis=1)))
                 yield from (row_for(*condition, sensor, seconds, row_of(found[name], pose)
                                     if name in found else {'refused': 'no surfaces'})
-                            for name, pose in zip(names, room.hangs))
+                            for condition in [
+                                *[('guess', guessed)] * usual, *conditions * (guess == START),
+                                *[('distance', distances[int(np.searchsorted(FAR, far))])] * (
+                                    usual and guess == START)])
 
 
 def hall(*solids: Solid) -> RoomPlan:
