@@ -135,7 +135,7 @@ def run(arguments: argparse.Namespace) -> Found:
     if placement is None:
         found = calibration.without_scan(clouds, arguments.sensor or '', command, measured, seen)
     elif arguments.against:
-        references = load_references(arguments.against.with_name(REFERENCES))
+        references, _ = load_references(arguments.against.with_name(REFERENCES))
         found = calibration.since_reference(placement, references, clouds, command)
     else:
         # A generated room has this number of points; 0 stands for all points of a scan.
@@ -156,7 +156,8 @@ def run(arguments: argparse.Namespace) -> Found:
                          formats)
         if found.fused is not None:
             save_scene(Scene(found.fused), unfinished / FUSED)
-        save_references(unfinished / REFERENCES, found.references)
+        save_references(unfinished / REFERENCES, found.references,
+                        found.placement.pose_by_name)
         result['written'] += [str(arguments.out / name) for name in (
             *([FUSED] if found.fused is not None else []), REFERENCES, figures_name)]
         write_atomically(unfinished / figures_name, json_text(result) + '\n')

@@ -59,8 +59,9 @@ MOVED = 0.01, 0.5
 MIN_AGREEMENT = 0.25
 #: The name of the file of references, beside the placement.
 REFERENCES = 'references.npz'
-#: What the names of arrays in it begin with, before that of the camera.
-PREFIX = 'camera_'
+#: What the names of arrays in it begin with, before that of the camera: clouds, and (4, 3): the
+#: position and the rotation matrix of the camera.
+CLOUD, POSE = 'camera_', 'pose_'
 #: The largest number of points of a reference.
 MAX_POINTS = 60_000
 
@@ -205,36 +206,43 @@ def way_back(movement: Movement, reference: Pose) -> str:
     return '; '.join([*([f'turn it {", ".join(turns)}'] if turns else []), *slides])
 
 
-def save_references(path: Path, clouds: Mapping[str, np.ndarray]) -> None:
+def save_references(path: Path, clouds: Mapping[str, np.ndarray], poses: Mapping[str, Pose]
+                    ) -> None:
     """
     Write the clouds of cameras as references for later.
 
     :param clouds: by the name of the camera: (N, 3) metres, body frame.
+    :param poses: where the cameras were, map frame, by name.
     """
     content = io.BytesIO()
     np.savez_compressed(content, **{
-        PREFIX + name: cloud[::max(1, -(-len(cloud) // MAX_POINTS))].astype(np.float32)
-        for name, cloud in clouds.items()})
+        CLOUD + name: cloud[::max(1, -(-len(cloud) // MAX_POINTS))].astype(np.float32)
+        for name, cloud in clouds.items()}, **{
+        POSE + name: np.vstack(poses[name]) for name in clouds})
     write_atomically(path, content.getvalue())
 
 
-def load_references(path: Path) -> dict[str, np.ndarray]:
+def load_references(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Pose]]:
     """
-    Read the references that :func:`save_references` has written, by the name of the camera.
+    Read the references that :func:`save_references` has written.
 
+    :returns: clouds and poses by the name of the camera; files of earlier versions have no poses.
     :raises ConfigurationError: if the file cannot be read.
     """
     try:
         with np.load(io.BytesIO(read_regular(path)), allow_pickle=False) as file:
-            clouds = {name.removeprefix(PREFIX): np.asarray(file[name], dtype=np.float64)
-                      for name in file.files}
-        if any(cloud.ndim != 2 or cloud.shape[1] != 3 for cloud in clouds.values()):
+            clouds, poses = ({name.removeprefix(kind): np.asarray(file[name], dtype=np.float64)
+                              for name in file.files if name.startswith(kind)}
+                             for kind in (CLOUD, POSE))
+        if (any(cloud.ndim != 2 or cloud.shape[1] != 3 for cloud in clouds.values())
+                or any(pose.shape != (4, 3) for pose in poses.values())):
             raise ValueError('arrays of another shape than (N, 3)')
     except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile) as error:
         raise ConfigurationError(
             f'{path}: found no references of cameras ({error}); expected the file that ocp '
-            'calibrate has written beside the placement; run it once without --against') from error
-    return clouds
+            'calibrate has written beside the placement; run it once without --against, or remove '
+            'the file') from error
+    return clouds, {name: Pose(pose[0], pose[1:]) for name, pose in poses.items()}
 
 
 def sentence_of(name: str, movement: Movement, reference: Pose) -> str:
@@ -247,6 +255,9 @@ def sentence_of(name: str, movement: Movement, reference: Pose) -> str:
         return (f'{name} sees {max(100.0 * movement.agreement, 0.0):.0f} % of what it saw before, '
                 'and the other cameras do not show where it hangs: it was turned away or covered, '
                 'or the room was changed; calibrate it again')
-    by = ' by what the other cameras see' * movement.by_others
+    by, now = ' by what the other cameras see' * movement.by_others, movement.pose_now(reference)
+    yaw, pitch, roll = np.rad2deg(heading_of(now.rotation))
     return (f'{name} has moved by {100.0 * movement.metres:.1f} cm and {movement.degrees:.1f} '
-            f'degrees{by}; to put it back, {way_back(movement, reference)}')
+            f'degrees{by}, to {", ".join(f"{value:.3f}" for value in now.position)} m, yaw '
+            f'{yaw:.1f}, pitch {pitch:.1f}, roll {roll:.1f} degrees; to put it back, '
+            f'{way_back(movement, reference)}')

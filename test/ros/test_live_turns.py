@@ -17,6 +17,7 @@
 from array import array
 from functools import partial
 from itertools import count
+import json
 import re
 import threading
 
@@ -630,21 +631,32 @@ def test_the_service_says_where_a_camera_hangs_and_drift_is_a_warning(graph, pro
     assert level == DiagnosticStatus.WARN and 'camera_0 hangs 0.0' in message
 
 
-def test_a_camera_that_moves_is_named_without_a_scan(graph, probe):
+def test_a_camera_that_moves_while_the_node_is_off_is_named_with_its_new_pose(
+        graph, probe, tmp_path):
     rays = MeshRays(mesh_of(plan_of(SEED)))
     turned = [TRUE + [0.0, 0.0, 0.0, np.deg2rad(degrees), 0.0, 0.0] for degrees in (0.0, 2.0)]
     before, after = (cast(rays, Pose.of(pose), 'realsense_d455')[0][::4] @ OPTICAL_TO_BODY
                      for pose in turned)
     shown = [before]
     hang_elsewhere(probe, shown)
-    node = graph.add(PolicyNode, planner='lookahead', cloud_topics='points_0', turns=1,
-                     max_range=6.0, arrival_timeout=0.1, drift_seconds=0.5)
+    start = partial(graph.add, PolicyNode, planner='lookahead', cloud_topics='points_0', turns=1,
+                    max_range=6.0, arrival_timeout=0.1, drift_seconds=0.5,
+                    placement_file=str(tmp_path / 'placement.yaml'))
+    node = start()
     graph.until(lambda: counted(node, 'drift_checks') > 1)
-    assert status(node)[0] == DiagnosticStatus.OK
+    assert status(node)[0] == DiagnosticStatus.OK and counted(node, 'moved_cameras') == '{}'
+    graph.remove(node)
     shown.append(after)
-    # Until then, some of the last ten clouds are of before.
-    graph.until(lambda: re.search(r'turn it (1\.[89]|2\.[012]) degrees to the right',
-                                  status(node)[1]))
+    node = start()
+    graph.until(lambda: counted(node, 'drift_checks'))
+    assert re.search(r'turn it (1\.[89]|2\.[012]) degrees to the right', status(node)[1])
+    pose = json.loads(counted(node, 'moved_cameras'))['camera_0']
+    assert pose['yaw'] == pytest.approx(np.rad2deg(TRUE[3]) + 2.0, abs=0.2)
+    np.testing.assert_allclose(pose['position'], TRUE[:3] + AWAY, atol=0.01)
+    assert f'{pose["position"][0]:.3f}' in status(node)[1]
+    # It is put back. Until then, some of the last ten clouds are of before.
+    shown.append(before)
+    graph.until(lambda: status(node)[0] == DiagnosticStatus.OK)
 
 
 def test_recorded_topics_are_those_of_cameras_by_name_or_in_order():
