@@ -21,7 +21,8 @@ sensor makes in every frame are the same in both, so that a camera that has not 
 the millimetre, and no scan is needed.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping
+from contextlib import suppress
 import io
 from pathlib import Path
 from typing import NamedTuple
@@ -47,7 +48,8 @@ from ocp_ros.registration.joint_alignment import (
 )
 from ocp_ros.registration.live_view import LiveView
 from ocp_ros.registration.mutual_registration import register_mutually
-from ocp_ros.registration.steady_cloud import steady_cloud, two_groups
+from ocp_ros.registration.steady_cloud import Frames
+from ocp_ros.scenes.scene import SceneError
 from ocp_ros.util.files import read_regular, write_atomically
 from ocp_ros.util.settings import ConfigurationError
 from scipy.spatial.transform import Rotation
@@ -151,22 +153,48 @@ def movements_since(references: Mapping[str, LiveView], views: Mapping[str, Live
     return found
 
 
-def movement_within(frames: Sequence[np.ndarray]) -> tuple[np.ndarray, Movement] | None:
+def movement_within(frames: Frames) -> tuple[np.ndarray, Movement] | None:
     """
-    Find out whether a camera was moved while its frames were taken.
+    Find out whether a camera was moved while its F frames were taken.
 
-    :param frames: F clouds (N, 3), metres, body frame, N may differ.
     :returns: (F,) bool, which frames are not of the pose of the first one, and how the camera has
         moved between both; None if it stood still.
     :raises SceneError: if frames have too few points.
     """
-    if (others := two_groups(frames)) is None:
+    if (others := frames.two_groups()) is None:
         return None
-    first, second = (LiveView(steady_cloud([frame for frame, other in zip(frames, others)
-                                            if other == one]), CameraModel(0.0, 1e6))
+    first, second = (LiveView(frames.subset(others == one).steady_cloud(), CameraModel(0.0, 1e6))
                      for one in (False, True))
     movement = movement_since(first, second)
     return (others, movement) if movement.has_moved else None
+
+
+def still_cloud(name: str, frames: Mapping[Hashable, np.ndarray]) -> np.ndarray:
+    """
+    Return what most clouds of a camera show.
+
+    :param name: the name of the camera in errors.
+    :param frames: by file name, time or number: clouds (N, 3), metres, body frame, N may differ.
+    :returns: (S, 3) metres, body frame; see
+        :func:`~ocp_ros.registration.steady_cloud.steady_cloud`.
+    :raises ConfigurationError: if they are of two poses or cameras.
+    """
+    if len(frames) == 1:
+        return np.asarray(*frames.values())
+    taken = Frames.of([*frames.values()])
+    with suppress(SceneError):
+        if found := movement_within(taken):
+            others, movement = found
+            first = int(others.argmax())
+            which = f'from cloud {[*frames][first]} on' if others[first:].all() else (
+                f'in {others.sum()} of {len(others)} clouds, {[*frames][first]} first')
+            what = 'shows something else' if movement.is_lost else (
+                f'hangs {100.0 * movement.metres:.1f} cm and {movement.degrees:.1f} degrees from '
+                'where it hung before')
+            raise ConfigurationError(
+                f'{name}: found that it {what} {which}; expected clouds of one camera that does '
+                'not move; leave out those before or after that, or take them again')
+    return taken.steady_cloud()
 
 
 def _held_movement(pose: Pose, certainty: Certainty) -> tuple[float, float]:

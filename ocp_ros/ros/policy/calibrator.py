@@ -43,9 +43,9 @@ from ocp_ros.registration.movement import (
     REFERENCES,
     save_references,
     sentence_of,
+    still_cloud,
 )
 from ocp_ros.registration.scan_surfaces import ScanSurfaces
-from ocp_ros.registration.steady_cloud import steady_cloud
 from ocp_ros.rig.placement_file import Placement, save_placement
 from ocp_ros.ros.interface.conversions import MessageError, shortened
 from ocp_ros.ros.policy.live_turns import LiveTurns
@@ -186,10 +186,11 @@ class Calibrator:
         :param frames: by the name of the camera: clouds, each (N, 3) metres, body frame.
         :returns: whether any camera was registered, and a line of text for each camera.
         """
-        clouds = _steady(frames)
+        clouds, moving = _still_clouds(frames)
         registrations, unusable_clouds = (
             calibrate(self._scan_surfaces(), placement, clouds) if self._node.config.scan
             else calibrate_mutually(placement, clouds))
+        unusable_clouds |= moving
         self._references = {}
         lines = []
         for placed in placement.cameras:
@@ -222,13 +223,13 @@ class Calibrator:
     def _find_drift(self, placement: Placement, frames: Mapping[str, Sequence[np.ndarray]]
                     ) -> tuple[bool, str]:
         """Find cameras that have drifted; return True for none, and a text about those found."""
-        clouds = _steady(frames)
+        clouds, moving = _still_clouds(frames)
         warnings = drift(self._scan_surfaces(), placement, clouds) if self._node.config.scan \
             else []
         poses = placement.pose_by_name
         models = {placed.camera.name: placed.camera.model for placed in placement.cameras}
         views, reasons = views_of(clouds, models)
-        warnings += reasons.values()
+        warnings += [*reasons.values(), *moving.values()]
         # A camera that is said to be elsewhere than its reference has a new one.
         limits = MOVED[0], np.deg2rad(MOVED[1])
         new = {name: clouds[name] for name in views if name not in self._references
@@ -259,6 +260,17 @@ class Calibrator:
             'drift_checks': self.drift_checks, 'moved_cameras': json.dumps(self.moved_cameras)}
 
 
-def _steady(frames: Mapping[str, Sequence[np.ndarray]]) -> dict[str, np.ndarray]:
-    """Return what stays in the frames of each camera, by name: (N, 3) metres, body frame."""
-    return {name: steady_cloud(clouds) for name, clouds in frames.items()}
+def _still_clouds(frames: Mapping[str, Sequence[np.ndarray]]
+                  ) -> tuple[dict[str, np.ndarray], dict[str, str]]:
+    """
+    Return what most clouds of each camera show, (N, 3) metres, body frame, by name.
+
+    :returns: also the reasons why cameras have none, as they moved meanwhile, by name.
+    """
+    clouds, reasons = {}, {}
+    for name, taken in frames.items():
+        try:
+            clouds[name] = still_cloud(name, dict(enumerate(taken, 1)))
+        except ConfigurationError as error:
+            reasons[name] = str(error)
+    return clouds, reasons
