@@ -213,15 +213,15 @@ def show(result: Found) -> None:
     # The six deviations are three along axes, then three about axes, each three the largest first.
     rows = [(row['camera'], ', '.join(f'{value:.3f}' for value in row['position']),
              ', '.join(f'{row[angle]:.1f}' for angle in ('yaw', 'pitch', 'roll')),
-             f'{row["moved_metres"]:.3f} m, {row["moved_degrees"]:.1f}°'
-             if 'moved_metres' in row else '',
+             next((f'{row[since + "_metres"]:.3f} m, {row[since + "_degrees"]:.1f}°'
+                   for since in ('from_plan', 'moved') if since + '_metres' in row), ''),
              f'{1000.0 * row["deviations"][0]["metres"]:.1f} mm, '
              f'{row["deviations"][3]["degrees"]:.2f}°' if 'deviations' in row else '',
              f'{100.0 * row["overlap"]:.0f} %')
             for row in result['cameras'] if not row['refused']]
     if rows:
         print_table(console, 'As built', (
-            'camera', 'position (m)', 'yaw, pitch, roll', 'moved', 'standard deviation',
+            'camera', 'position (m)', 'yaw, pitch, roll', 'difference', 'standard deviation',
             'overlap'), rows)
     for row in result['cameras']:
         if row.get('note'):

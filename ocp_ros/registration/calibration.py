@@ -86,17 +86,15 @@ _log = logging.getLogger(__name__)
 
 
 def calibrate(scan: ScanSurfaces, placement: Placement, clouds: Mapping[str, np.ndarray],
-              jointly: bool = True, measured: Mapping[tuple[str, str], float] | None = None,
-              near: float = FARTHEST_M, seen: Seen | None = None
-              ) -> tuple[dict[str, Registration], dict[str, str]]:
+              measured: Mapping[tuple[str, str], float] | None = None, near: float = FARTHEST_M,
+              seen: Seen | None = None) -> tuple[dict[str, Registration], dict[str, str]]:
     """
-    Register each camera that has a cloud, starting at its pose in the placement.
+    Register each camera that has a cloud to the scan and to the others.
 
     :param scan: the scan of the room, in the frame of the placement.
-    :param placement: the planned or measured placement.
+    :param placement: the planned or measured placement, at whose poses registration starts.
     :param clouds: the clouds (N, 3), metres, body frame, by the camera's name; of several frames
         see :func:`~ocp_ros.registration.steady_cloud.steady_cloud`.
-    :param jointly: whether cameras are registered to each other as well.
     :param measured: measured distances between two cameras, metres, by their names.
     :param near: how far a camera is from its pose in the placement at most, metres.
     :param seen: what was set down in the views of cameras,
@@ -108,17 +106,16 @@ def calibrate(scan: ScanSurfaces, placement: Placement, clouds: Mapping[str, np.
     found, used = _with_other_setups(scan, placement, clouds, registrations)
     own = {name: one for name, one in (seen or {}).items() if used.get(name) is clouds.get(name)}
     factors = _correct_depths(scan, placement, found, used, near)
-    if jointly:
-        models = {one.camera.name: one.camera.model for one in placement.cameras}
-        views = {name: (LiveView(used[name], models[name], name), models[name]) for name in found}
-        # Of a camera whose cloud was turned or exchanged, it is left out.
-        carried = carried_by({name: {moment: [thing * factors[name] for thing in things]
-                                     for moment, things in one.items()}
-                              for name, one in own.items() if name in factors},
-                             {name: models[name] for name in found})
-        alone = found
-        found, _ = with_distances(lambda left_out: (register_together(
-            scan, views, alone, measured, carried, left_out), {}), measured or {})
+    models = {one.camera.name: one.camera.model for one in placement.cameras}
+    views = {name: (LiveView(used[name], models[name], name), models[name]) for name in found}
+    # Of a camera whose cloud was turned or exchanged, it is left out.
+    carried = carried_by({name: {moment: [thing * factors[name] for thing in things]
+                                 for moment, things in one.items()}
+                          for name, one in own.items() if name in factors},
+                         {name: models[name] for name in found})
+    alone = found
+    found, _ = with_distances(lambda left_out: (register_together(
+        scan, views, alone, measured, carried, left_out), {}), measured or {})
     return _with_exchanged(placement, found), reasons
 
 
@@ -498,8 +495,8 @@ def answer_of(placed: Placed, found: Registration) -> dict[str, Any]:
            'note': found.note, **_deviations(certainty)}
     if not found.refused:
         metres, radians = found.pose.away_from(Pose.of(placed.pose))
-        row |= {**pose_data(found.pose), 'moved_metres': metres,
-                'moved_degrees': float(np.rad2deg(radians))}
+        row |= {**pose_data(found.pose), 'from_plan_metres': metres,
+                'from_plan_degrees': float(np.rad2deg(radians))}
     return row
 
 
