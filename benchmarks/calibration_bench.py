@@ -331,10 +331,13 @@ def measured_in(room: BenchRoom, people: int, frames: int) -> Iterator[dict]:
                 for start in (off(pose, *START, rng) for pose in room.hangs)]
         placement = placement_of(rig_of(len(rows), sensor), np.array(rows))
         names = [placed.camera.name for placed in placement.cameras]
-        for method, clouds in (('alone', [one[0] for one in seen]),
-                               ('together', map(steady_cloud, seen))):
-            clouds, begin = dict(zip(names, clouds)), time.process_time()
-            found, _ = calibrate(scan, placement, clouds, jointly=method == 'together')
+        for method, merged, groups in (
+                ('alone', lambda one: one[0], [[name] for name in names]),
+                ('together', steady_cloud, [names])):
+            begin, found = time.process_time(), {}
+            clouds = dict(zip(names, map(merged, seen)))
+            for group in groups:
+                found |= calibrate(scan, placement, {name: clouds[name] for name in group})[0]
             seconds = (time.process_time() - begin) / len(names)
             for name, pose in zip(names, room.hangs):
                 if name in found:

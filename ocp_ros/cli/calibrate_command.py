@@ -16,7 +16,6 @@
 
 import argparse
 from collections.abc import Hashable, Iterable, Iterator, Sequence
-from contextlib import suppress
 from itertools import combinations
 from pathlib import Path
 from typing import Any, TYPE_CHECKING
@@ -66,7 +65,7 @@ def add_arguments(commands: Commands) -> None:
                          'put them back; without ROOM and PLACEMENT')
     group = command.add_mutually_exclusive_group(required=True)
     group.add_argument('--clouds', nargs='+', metavar='[CAMERA=]FILE',
-                       help='a cloud of each camera, or a folder with frames of it, in metres; '
+                       help='a cloud of each camera, or a folder with clouds of it, in metres; '
                        'without CAMERA=, the name of the file or folder is the name of the camera'
                        )
     group.add_argument('--bag', type=Path, help='a ROS bag with a topic of clouds for each camera')
@@ -76,7 +75,7 @@ def add_arguments(commands: Commands) -> None:
                          help='measured distances between two cameras, from the middle of one to '
                          'that of the other, to 5 mm')
     command.add_argument('--box', action='store_true', help='a box was set down at some places '
-                         'that several cameras see, each for two frames or more; frames with the '
+                         'that several cameras see, each for two clouds or more; clouds with the '
                          'same file name, or the same time in a bag, are of the same moment')
     command.add_argument('--near', type=read_distance, metavar='METRES', help='how far cameras '
                          'are from their poses in PLACEMENT at most; default: 1.6')
@@ -135,7 +134,7 @@ def run(arguments: argparse.Namespace) -> Found:
     if placement is None:
         found = calibration.without_scan(clouds, arguments.sensor or '', command, measured, seen)
     elif arguments.against:
-        references = load_references(arguments.against.with_name(REFERENCES))
+        references, _ = load_references(arguments.against.with_name(REFERENCES))
         found = calibration.since_reference(placement, references, clouds, command)
     else:
         # A generated room has this number of points; 0 stands for all points of a scan.
@@ -156,7 +155,8 @@ def run(arguments: argparse.Namespace) -> Found:
                          formats)
         if found.fused is not None:
             save_scene(Scene(found.fused), unfinished / FUSED)
-        save_references(unfinished / REFERENCES, found.references)
+        save_references(unfinished / REFERENCES, found.references,
+                        found.placement.pose_by_name)
         result['written'] += [str(arguments.out / name) for name in (
             *([FUSED] if found.fused is not None else []), REFERENCES, figures_name)]
         write_atomically(unfinished / figures_name, json_text(result) + '\n')
@@ -213,15 +213,15 @@ def show(result: Found) -> None:
     # The six deviations are three along axes, then three about axes, each three the largest first.
     rows = [(row['camera'], ', '.join(f'{value:.3f}' for value in row['position']),
              ', '.join(f'{row[angle]:.1f}' for angle in ('yaw', 'pitch', 'roll')),
-             f'{row["moved_metres"]:.3f} m, {row["moved_degrees"]:.1f}°'
-             if 'moved_metres' in row else '',
+             next((f'{row[since + "_metres"]:.3f} m, {row[since + "_degrees"]:.1f}°'
+                   for since in ('from_plan', 'moved') if since + '_metres' in row), ''),
              f'{1000.0 * row["deviations"][0]["metres"]:.1f} mm, '
              f'{row["deviations"][3]["degrees"]:.2f}°' if 'deviations' in row else '',
              f'{100.0 * row["overlap"]:.0f} %')
             for row in result['cameras'] if not row['refused']]
     if rows:
         print_table(console, 'As built', (
-            'camera', 'position (m)', 'yaw, pitch, roll', 'moved', 'standard deviation',
+            'camera', 'position (m)', 'yaw, pitch, roll', 'difference', 'standard deviation',
             'overlap'), rows)
     for row in result['cameras']:
         if row.get('note'):
@@ -252,14 +252,13 @@ def clouds_of(arguments: argparse.Namespace, names: Sequence[str] | None
     """
     import numpy as np
     from ocp_ros.registration.carried import moments_of, set_down
-    from ocp_ros.registration.steady_cloud import steady_cloud
+    from ocp_ros.registration.movement import still_cloud
     clouds: dict[str, np.ndarray] = {}
     seen: dict[str, dict[Hashable, list[np.ndarray]]] = {}
     times: list[int] = []
     for name, frames in _frames_of(arguments, names):
         frames = {key: arguments.cloud_scale * frame for key, frame in frames.items()}
-        _check_still(name, frames)
-        clouds[name] = steady_cloud([*frames.values()])
+        clouds[name] = still_cloud(name, frames)
         if arguments.box:
             moments = list(frames)
             if arguments.bag:
@@ -274,31 +273,13 @@ def clouds_of(arguments: argparse.Namespace, names: Sequence[str] | None
     if len(seen) > 1 and all(seen.values()) and not any(
             seen[name].keys() & seen[other].keys() for name, other in combinations(seen, 2)):
         raise ConfigurationError(
-            '--box: found no moment at which two cameras have a frame; expected files of one '
+            '--box: found no moment at which two cameras have a cloud; expected files of one '
             'moment to have the same name in each folder; rename them')
     if arguments.box and not any(seen.values()):
         raise ConfigurationError(
-            '--box: found nothing that was set down for two frames; expected a box at another '
-            'place in some frames; save at least two frames of it at each place')
+            '--box: found nothing that was set down for two clouds; expected a box at another '
+            'place in some clouds; save at least two clouds of it at each place')
     return clouds, seen
-
-
-def _check_still(name: str, frames: 'dict[Any, np.ndarray]') -> None:
-    """Raise an error if frames of a camera, by file name or time, are of two poses or cameras."""
-    from ocp_ros.registration.movement import movement_within
-    from ocp_ros.scenes.scene import SceneError
-    with suppress(SceneError):
-        if found := movement_within([*frames.values()]):
-            others, movement = found
-            first = int(others.argmax())
-            which = f'from frame {[*frames][first]} on' if others[first:].all() else (
-                f'in {others.sum()} of {len(others)} frames, {[*frames][first]} first')
-            what = 'shows something else' if movement.is_lost else (
-                f'hangs {100.0 * movement.metres:.1f} cm and {movement.degrees:.1f} degrees from '
-                'where it hung before')
-            raise ConfigurationError(
-                f'{name}: found that it {what} {which}; expected frames of one camera that does '
-                'not move; leave the frames before or after that out, or record it again')
 
 
 def _frames_of(arguments: argparse.Namespace, names: Sequence[str] | None
@@ -338,7 +319,7 @@ def _frames_of(arguments: argparse.Namespace, names: Sequence[str] | None
             try:
                 frames[one.name] = load_cloud(one) @ rotation.T
             except SceneError as error:
-                raise SceneError(f'{name}: {error} (or leave this frame out)') from error
+                raise SceneError(f'{name}: {error} (or leave this cloud out)') from error
         yield name, frames
 
 
@@ -350,7 +331,7 @@ def _frames_in(path: Path) -> list[Path]:
         return [path]
     files = sorted(one for one in path.iterdir() if one.is_file() and one.name[0] != '.')
     if not files:
-        raise ConfigurationError(f'{path}: found no file in this folder; expected frames of a '
+        raise ConfigurationError(f'{path}: found no file in this folder; expected clouds of a '
                                  'camera, one a file; name another folder')
     return [files[k] for k in evenly(len(files), MAX_FRAMES)]
 

@@ -151,7 +151,8 @@ def matches_of(surfaces: Surfaces, patches: Patches, poses: Poses, max_distance:
     :param max_distance: the largest distance between a point and its match, metres.
     :param layers: (M,) a fourth coordinate of the points, where the tree has one.
     """
-    offsets = np.einsum('sij,mj->smi', poses.rotations, patches.points)
+    turns = np.swapaxes(poses.rotations, 1, 2)
+    offsets = patches.points @ turns
     positions = offsets + poses.positions[:, None]
     placed = positions if layers is None else np.concatenate(
         [positions, np.broadcast_to(layers[:, None], (*positions.shape[:2], 1))], axis=2)
@@ -166,8 +167,7 @@ def matches_of(surfaces: Surfaces, patches: Patches, poses: Poses, max_distance:
     else:
         # Normals of either sign are turned towards the camera.
         normals = np.where(facing[..., None] < 0.0, -normals, normals)
-    patch_normals = np.einsum('sij,mj->smi', poses.rotations, patches.normals)
-    found &= np.einsum('smi,smi->sm', normals, patch_normals) > MIN_NORMAL_COSINE
+    found &= np.einsum('smi,smi->sm', normals, patches.normals @ turns) > MIN_NORMAL_COSINE
     residuals = np.einsum('smi,smi->sm', normals, positions - surface_points)
     jacobians = np.concatenate([np.cross(offsets, normals), normals], axis=2)
     is_sided = np.ones(index.shape, dtype=bool) if surfaces.is_sided is None \

@@ -86,17 +86,15 @@ _log = logging.getLogger(__name__)
 
 
 def calibrate(scan: ScanSurfaces, placement: Placement, clouds: Mapping[str, np.ndarray],
-              jointly: bool = True, measured: Mapping[tuple[str, str], float] | None = None,
-              near: float = FARTHEST_M, seen: Seen | None = None
-              ) -> tuple[dict[str, Registration], dict[str, str]]:
+              measured: Mapping[tuple[str, str], float] | None = None, near: float = FARTHEST_M,
+              seen: Seen | None = None) -> tuple[dict[str, Registration], dict[str, str]]:
     """
-    Register each camera that has a cloud, starting at its pose in the placement.
+    Register each camera that has a cloud to the scan and to the others.
 
     :param scan: the scan of the room, in the frame of the placement.
-    :param placement: the planned or measured placement.
+    :param placement: the planned or measured placement, at whose poses registration starts.
     :param clouds: the clouds (N, 3), metres, body frame, by the camera's name; of several frames
         see :func:`~ocp_ros.registration.steady_cloud.steady_cloud`.
-    :param jointly: whether cameras are registered to each other as well.
     :param measured: measured distances between two cameras, metres, by their names.
     :param near: how far a camera is from its pose in the placement at most, metres.
     :param seen: what was set down in the views of cameras,
@@ -108,24 +106,23 @@ def calibrate(scan: ScanSurfaces, placement: Placement, clouds: Mapping[str, np.
     found, used = _with_other_setups(scan, placement, clouds, registrations)
     own = {name: one for name, one in (seen or {}).items() if used.get(name) is clouds.get(name)}
     factors = _correct_depths(scan, placement, found, used, near)
-    if jointly:
-        models = {one.camera.name: one.camera.model for one in placement.cameras}
-        views = {name: (LiveView(used[name], models[name], name), models[name]) for name in found}
-        # Of a camera whose cloud was turned or exchanged, it is left out.
-        carried = carried_by({name: {moment: [thing * factors[name] for thing in things]
-                                     for moment, things in one.items()}
-                              for name, one in own.items() if name in factors},
-                             {name: models[name] for name in found})
-        alone = found
-        found, _ = with_distances(lambda left_out: (register_together(
-            scan, views, alone, measured, carried, left_out), {}), measured or {})
+    models = {one.camera.name: one.camera.model for one in placement.cameras}
+    views = {name: (LiveView(used[name], models[name], name), models[name]) for name in found}
+    # Of a camera whose cloud was turned or exchanged, it is left out.
+    carried = carried_by({name: {moment: [thing * factors[name] for thing in things]
+                                 for moment, things in one.items()}
+                          for name, one in own.items() if name in factors},
+                         {name: models[name] for name in found})
+    alone = found
+    found, _ = with_distances(lambda left_out: (register_together(
+        scan, views, alone, measured, carried, left_out), {}), measured or {})
     return _with_exchanged(placement, found), reasons
 
 
 def _with_exchanged(placement: Placement, found: Mapping[str, Registration]
                     ) -> dict[str, Registration]:
     """Return registrations with a note for two cameras that fit each other's planned poses."""
-    planned = {placed.camera.name: Pose.of(placed.pose) for placed in placement.cameras}
+    planned = placement.pose_by_name
     noted = dict(found)
     for pair in combinations([name for name, one in found.items() if not one.refused], 2):
         # Metres and radians from the own planned poses, and from those of the other camera.
@@ -260,7 +257,7 @@ def drift(scan: ScanSurfaces, placement: Placement, clouds: Mapping[str, np.ndar
     """
     registrations, reasons = _for_each_camera(registered_nearby, scan, placement, clouds)
     sentences = list(reasons.values())
-    poses = {placed.camera.name: Pose.of(placed.pose) for placed in placement.cameras}
+    poses = placement.pose_by_name
     for name, registration in registrations.items():
         metres, radians = registration.pose.away_from(poses[name])
         degrees = float(np.rad2deg(radians))
@@ -341,7 +338,7 @@ def without_scan(clouds: Mapping[str, np.ndarray], sensor: str, command: str,
             fused.append(views[name].points @ one.pose.rotation.T + one.pose.position)
             row |= {'overlap': one.overlap, 'lead': one.lead, 'note': one.note,
                     **_deviations(one.certainty),
-                    **_pose_of(one.pose)}
+                    **pose_data(one.pose)}
         rows.append(row)
     if len(placed) < 2:
         raise ConfigurationError('--clouds: found no two cameras that agree (' + '; '.join(
@@ -432,7 +429,7 @@ def since_reference(placement: Placement, references: Mapping[str, np.ndarray],
     :returns: cameras that have moved at their present poses; others as they were.
     """
     models = {placed.camera.name: placed.camera.model for placed in placement.cameras}
-    poses = {placed.camera.name: Pose.of(placed.pose) for placed in placement.cameras}
+    poses = placement.pose_by_name
     before, _ = views_of(references, models)
     views, reasons = views_of(clouds, models)
     movements = movements_since(before, views, poses)
@@ -452,7 +449,7 @@ def since_reference(placement: Placement, references: Mapping[str, np.ndarray],
                 kept[name] = clouds[name]
             row |= {'overlap': movement.agreement, 'moved': movement.has_moved,
                     'moved_metres': movement.metres, 'moved_degrees': movement.degrees,
-                    **_pose_of(Pose.of(placed.pose))}
+                    **pose_data(Pose.of(placed.pose))}
             if movement.by_others:
                 row['note'] = ('it sees too little of what it saw before; its pose is by what the '
                                'other cameras see')
@@ -498,8 +495,8 @@ def answer_of(placed: Placed, found: Registration) -> dict[str, Any]:
            'note': found.note, **_deviations(certainty)}
     if not found.refused:
         metres, radians = found.pose.away_from(Pose.of(placed.pose))
-        row |= {**_pose_of(found.pose), 'moved_metres': metres,
-                'moved_degrees': float(np.rad2deg(radians))}
+        row |= {**pose_data(found.pose), 'from_plan_metres': metres,
+                'from_plan_degrees': float(np.rad2deg(radians))}
     return row
 
 
@@ -517,7 +514,7 @@ def _row_of(pose: Pose) -> np.ndarray:
     return np.concatenate([pose.position, heading_of(pose.rotation)])
 
 
-def _pose_of(pose: Pose) -> dict[str, Any]:
+def pose_data(pose: Pose) -> dict[str, Any]:
     """Return a pose as plain data: metres and degrees."""
     return {'position': pose.position.round(4).tolist(),
             **dict(zip(ANGLES, np.rad2deg(heading_of(pose.rotation)).round(3).tolist()))}

@@ -84,6 +84,9 @@ MAX_MATCH_DISTANCE_M = 0.15
 FARTHEST_M = 1.6
 #: How many agreements a contradiction outweighs, see :class:`Comparison`.
 CONTRADICTION_WEIGHT = 3.0
+#: What to do if too little holds a camera along a direction.
+LOOSE_REMEDY = ('turn it to surfaces across that, best to the floor and two walls that meet, or '
+                'scan what it sees of them')
 ALL = slice(None)
 #: The weight in the score of the share of points closely behind a surface.
 BEHIND_WEIGHT = 3.0
@@ -652,12 +655,12 @@ def _rejection_reason(overlap: float, violated_share: float, behind_share: float
                 'moved, and check its planned pose')
     if certainty.loose_motions:
         return (f'it {" and ".join(certainty.loose_motions)}: too few surfaces hold it there; '
-                'turn it to surfaces across that, or scan what it sees of them')
+                f'{LOOSE_REMEDY}')
     # The deviations grow with little overlap and displaced surfaces; the largest comes first.
     grown = certainty.with_doubts(overlap, displaced_share)
     if grown.metres[0] > LIMITS.max_metres or grown.degrees[0] > LIMITS.max_degrees:
         return (f'it may be off by {1000.0 * grown.metres[0]:.0f} mm along '
                 f'{axis_name(grown.slide_axes[0])} and {grown.degrees[0]:.1f} degrees about '
                 f'{axis_name(grown.turn_axes[0])}, at most {1000.0 * LIMITS.max_metres:.1f} mm '
-                f'and {LIMITS.max_degrees:g} degrees are allowed')
+                f'and {LIMITS.max_degrees:g} degrees are allowed; {LOOSE_REMEDY}')
     return ''

@@ -57,7 +57,7 @@ MAX_UNSEEN = 0.3
 SEEN_M = 0.1
 #: Why a box was left out.
 NOT_ALIKE = ('; the box was left out, since the cameras do not see it at the same places: save '
-             'their frames at the same moments')
+             'their clouds at the same moments')
 #: Registration by middles, and then from as far as these are wrong.
 MEETING_STAGE = AlignmentStage((0.15, 0.1), (4.0, 3.0), 20)
 NEAR_STAGE = AlignmentStage((0.3, 0.1), (8.0, 3.0), 14)

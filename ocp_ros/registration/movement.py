@@ -21,7 +21,8 @@ sensor makes in every frame are the same in both, so that a camera that has not 
 the millimetre, and no scan is needed.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping
+from contextlib import suppress
 import io
 from pathlib import Path
 from typing import NamedTuple
@@ -47,7 +48,8 @@ from ocp_ros.registration.joint_alignment import (
 )
 from ocp_ros.registration.live_view import LiveView
 from ocp_ros.registration.mutual_registration import register_mutually
-from ocp_ros.registration.steady_cloud import steady_cloud, two_groups
+from ocp_ros.registration.steady_cloud import Frames
+from ocp_ros.scenes.scene import SceneError
 from ocp_ros.util.files import read_regular, write_atomically
 from ocp_ros.util.settings import ConfigurationError
 from scipy.spatial.transform import Rotation
@@ -59,8 +61,9 @@ MOVED = 0.01, 0.5
 MIN_AGREEMENT = 0.25
 #: The name of the file of references, beside the placement.
 REFERENCES = 'references.npz'
-#: What the names of arrays in it begin with, before that of the camera.
-PREFIX = 'camera_'
+#: What the names of arrays in it begin with, before that of the camera: clouds, and (4, 3): the
+#: position and the rotation matrix of the camera.
+CLOUD, POSE = 'camera_', 'pose_'
 #: The largest number of points of a reference.
 MAX_POINTS = 60_000
 
@@ -150,22 +153,48 @@ def movements_since(references: Mapping[str, LiveView], views: Mapping[str, Live
     return found
 
 
-def movement_within(frames: Sequence[np.ndarray]) -> tuple[np.ndarray, Movement] | None:
+def movement_within(frames: Frames) -> tuple[np.ndarray, Movement] | None:
     """
-    Find out whether a camera was moved while its frames were taken.
+    Find out whether a camera was moved while its F frames were taken.
 
-    :param frames: F clouds (N, 3), metres, body frame, N may differ.
     :returns: (F,) bool, which frames are not of the pose of the first one, and how the camera has
         moved between both; None if it stood still.
     :raises SceneError: if frames have too few points.
     """
-    if (others := two_groups(frames)) is None:
+    if (others := frames.two_groups()) is None:
         return None
-    first, second = (LiveView(steady_cloud([frame for frame, other in zip(frames, others)
-                                            if other == one]), CameraModel(0.0, 1e6))
+    first, second = (LiveView(frames.subset(others == one).steady_cloud(), CameraModel(0.0, 1e6))
                      for one in (False, True))
     movement = movement_since(first, second)
     return (others, movement) if movement.has_moved else None
+
+
+def still_cloud(name: str, frames: Mapping[Hashable, np.ndarray]) -> np.ndarray:
+    """
+    Return what most clouds of a camera show.
+
+    :param name: the name of the camera in errors.
+    :param frames: by file name, time or number: clouds (N, 3), metres, body frame, N may differ.
+    :returns: (S, 3) metres, body frame; see
+        :func:`~ocp_ros.registration.steady_cloud.steady_cloud`.
+    :raises ConfigurationError: if they are of two poses or cameras.
+    """
+    if len(frames) == 1:
+        return np.asarray(*frames.values())
+    taken = Frames.of([*frames.values()])
+    with suppress(SceneError):
+        if found := movement_within(taken):
+            others, movement = found
+            first = int(others.argmax())
+            which = f'from cloud {[*frames][first]} on' if others[first:].all() else (
+                f'in {others.sum()} of {len(others)} clouds, {[*frames][first]} first')
+            what = 'shows something else' if movement.is_lost else (
+                f'hangs {100.0 * movement.metres:.1f} cm and {movement.degrees:.1f} degrees from '
+                'where it hung before')
+            raise ConfigurationError(
+                f'{name}: found that it {what} {which}; expected clouds of one camera that does '
+                'not move; leave out those before or after that, or take them again')
+    return taken.steady_cloud()
 
 
 def _held_movement(pose: Pose, certainty: Certainty) -> tuple[float, float]:
@@ -205,36 +234,43 @@ def way_back(movement: Movement, reference: Pose) -> str:
     return '; '.join([*([f'turn it {", ".join(turns)}'] if turns else []), *slides])
 
 
-def save_references(path: Path, clouds: Mapping[str, np.ndarray]) -> None:
+def save_references(path: Path, clouds: Mapping[str, np.ndarray], poses: Mapping[str, Pose]
+                    ) -> None:
     """
     Write the clouds of cameras as references for later.
 
     :param clouds: by the name of the camera: (N, 3) metres, body frame.
+    :param poses: where the cameras were, map frame, by name.
     """
     content = io.BytesIO()
     np.savez_compressed(content, **{
-        PREFIX + name: cloud[::max(1, -(-len(cloud) // MAX_POINTS))].astype(np.float32)
-        for name, cloud in clouds.items()})
+        CLOUD + name: cloud[::max(1, -(-len(cloud) // MAX_POINTS))].astype(np.float32)
+        for name, cloud in clouds.items()}, **{
+        POSE + name: np.vstack(poses[name]) for name in clouds})
     write_atomically(path, content.getvalue())
 
 
-def load_references(path: Path) -> dict[str, np.ndarray]:
+def load_references(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Pose]]:
     """
-    Read the references that :func:`save_references` has written, by the name of the camera.
+    Read the references that :func:`save_references` has written.
 
+    :returns: clouds and poses by the name of the camera; files of earlier versions have no poses.
     :raises ConfigurationError: if the file cannot be read.
     """
     try:
         with np.load(io.BytesIO(read_regular(path)), allow_pickle=False) as file:
-            clouds = {name.removeprefix(PREFIX): np.asarray(file[name], dtype=np.float64)
-                      for name in file.files}
-        if any(cloud.ndim != 2 or cloud.shape[1] != 3 for cloud in clouds.values()):
+            clouds, poses = ({name.removeprefix(kind): np.asarray(file[name], dtype=np.float64)
+                              for name in file.files if name.startswith(kind)}
+                             for kind in (CLOUD, POSE))
+        if (any(cloud.ndim != 2 or cloud.shape[1] != 3 for cloud in clouds.values())
+                or any(pose.shape != (4, 3) for pose in poses.values())):
             raise ValueError('arrays of another shape than (N, 3)')
     except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile) as error:
         raise ConfigurationError(
             f'{path}: found no references of cameras ({error}); expected the file that ocp '
-            'calibrate has written beside the placement; run it once without --against') from error
-    return clouds
+            'calibrate has written beside the placement; run it once without --against, or remove '
+            'the file') from error
+    return clouds, {name: Pose(pose[0], pose[1:]) for name, pose in poses.items()}
 
 
 def sentence_of(name: str, movement: Movement, reference: Pose) -> str:
@@ -247,6 +283,9 @@ def sentence_of(name: str, movement: Movement, reference: Pose) -> str:
         return (f'{name} sees {max(100.0 * movement.agreement, 0.0):.0f} % of what it saw before, '
                 'and the other cameras do not show where it hangs: it was turned away or covered, '
                 'or the room was changed; calibrate it again')
-    by = ' by what the other cameras see' * movement.by_others
+    by, now = ' by what the other cameras see' * movement.by_others, movement.pose_now(reference)
+    yaw, pitch, roll = np.rad2deg(heading_of(now.rotation))
     return (f'{name} has moved by {100.0 * movement.metres:.1f} cm and {movement.degrees:.1f} '
-            f'degrees{by}; to put it back, {way_back(movement, reference)}')
+            f'degrees{by}, to {", ".join(f"{value:.3f}" for value in now.position)} m, yaw '
+            f'{yaw:.1f}, pitch {pitch:.1f}, roll {roll:.1f} degrees; to put it back, '
+            f'{way_back(movement, reference)}')

@@ -43,6 +43,7 @@ from ocp_ros.registration.joint_alignment import (
     advice,
     all_constraints,
     certainties,
+    Distance,
     distances_between,
     HERE,
     joint_poses,
@@ -388,7 +389,6 @@ def register_mutually(views: Mapping[str, LiveView],
     reasons = {name: 'it sees no floor; tilt it down, or if it hangs upside down, turn its '
                'images by 180 degrees' for name in views if name not in level}
     names, measured, carried = list(level), measured or {}, carried or {}
-    used = {pair: metres for pair, metres in measured.items() if pair not in left_out}
     met = {(names[one.camera], names[one.other]): one for one in meetings_between(names, carried)}
     links = {(a, b): pair_poses(level[a], level[b], met.get((a, b))) for k, a in enumerate(names)
              for b in names[k + 1:] if a not in known or b not in known}
@@ -406,7 +406,8 @@ def register_mutually(views: Mapping[str, LiveView],
         rig = {name: RigCamera.of(views[name].patches,
                                   carried=carried[name][:2] if carried else None)
                for name in poses}
-        joint = _registered(rig, poses, anchors, used, carried)
+        distances = distances_between(list(rig), measured, left_out)
+        joint = _registered(rig, poses, anchors, distances, carried)
         # A camera at a wrong pose also moves the others.
         contradicted = {name: _contradicted(level, joint, name) for name in joint
                         if name not in known}
@@ -432,7 +433,7 @@ def register_mutually(views: Mapping[str, LiveView],
                                    JOINT_STAGES[-1].kernel_widths[1])
     ordered, at = list(rig.values()), list(joint.values())
     pairs = overlapping_pairs(ordered, at, limits[0])
-    constraints = all_constraints(ordered, at, pairs, *limits, distances_between(placed, used))
+    constraints = all_constraints(ordered, at, pairs, *limits, distances)
     found = {}
     for name, certainty in zip(placed, certainties(
             constraints, placed, [placed.index(name) for name in anchors], at)):
@@ -461,15 +462,14 @@ def _without_box(views: Mapping[str, LiveView], measured: Mapping[tuple[str, str
 
 
 def _registered(rig: Mapping[str, RigCamera], poses: Mapping[str, Pose], anchors: Collection[str],
-                measured: Mapping[tuple[str, str], float], carried: Mapping[str, Carried]
+                distances: Sequence[Distance], carried: Mapping[str, Carried]
                 ) -> dict[str, Pose]:
     """Register all cameras together; see :func:`register_mutually`. Anchors keep their poses."""
     names, found = list(rig), [poses[name] for name in rig]
     meetings = meetings_between(names, carried)
     for stage in (*((MEETING_STAGE,) if meetings else ()), *JOINT_STAGES):
         found = joint_poses(list(rig.values()), found, stage, [names.index(k) for k in anchors],
-                            [*distances_between(names, measured),
-                             *(meetings if stage is MEETING_STAGE else ())])
+                            [*distances, *(meetings if stage is MEETING_STAGE else ())])
     return dict(zip(names, found))
 
 
@@ -539,7 +539,7 @@ def _lead(level: Mapping[str, LevelView], links: _Links, rig: Mapping[str, RigCa
     for place in [one for one in others if differ(one, poses[name], APART)]:
         ahead = own - _total(level, poses, name, place)
         if ahead < MUTUAL_LIMITS.min_lead:
-            moved = _registered(rig, {**joint, name: place}, rig.keys() - {name}, {}, carried)
+            moved = _registered(rig, {**joint, name: place}, rig.keys() - {name}, (), carried)
             if (not differ(moved[name], joint[name], APART)
                     or _contradicted(level, moved, name) > MUTUAL_LIMITS.max_contradicted):
                 continue
@@ -598,5 +598,5 @@ def _refusal(total: float, lead: float, certainty: Certainty) -> str:
         return (f'it may be off by {1000.0 * certainty.metres[0]:.0f} mm and '
                 f'{certainty.degrees[0]:.1f} degrees against the other cameras, at most '
                 f'{1000.0 * MUTUAL_LIMITS.max_metres:.0f} mm and {MUTUAL_LIMITS.max_degrees:g} '
-                'degrees are allowed')
+                'degrees are allowed; turn it to what another one sees')
     return ''

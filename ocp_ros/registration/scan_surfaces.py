@@ -194,12 +194,12 @@ class ScanSurfaces:
         cell_deg = 6.0
         row = np.rad2deg(np.arcsin(offsets[:, 2] / np.maximum(distance, 1e-6))) // cell_deg
         column = np.rad2deg(np.arctan2(offsets[:, 1], offsets[:, 0])) // cell_deg
-        # Rows and columns are from -30 to 30, so each pair gives another number.
-        cell = np.unique(row * 1000.0 + column, return_inverse=True)[1]
-        # Sorted by cell and then by distance, the last point of each cell is its farthest.
-        order = np.lexsort((distance, cell))
-        ends = np.flatnonzero(np.append(np.diff(cell[order]) > 0, True))
-        farthest = self.points[order[ends]][cell]
+        # Rows are from -15 to 15 and columns from -30 to 30, so each pair has another number.
+        cell = (row * 61.0 + column).astype(int) + 15 * 61 + 30
+        # Of the points of a cell, in the order of their distances, the last one is assigned.
+        order, last = np.argsort(distance), np.zeros(31 * 61, dtype=int)
+        last[cell[order]] = order
+        farthest = self.points[last[cell]]
         # How far the farthest point of its cell lies behind the plane of each point, metres.
         behind = -sign * np.einsum('ij,ij->i', farthest - self.points, self.normals)
         # Points are outermost if the farthest point of their cell is less than 10 cm behind their

@@ -28,7 +28,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from ocp_ros import __version__
-from ocp_ros.geometry.cameras import CameraModel, rotation_matrix
+from ocp_ros.geometry.cameras import CameraModel, Pose, rotation_matrix
 from ocp_ros.geometry.engine_config import EngineConfig, PROMISING
 from ocp_ros.rig.rig_file import (
     Camera,
@@ -115,6 +115,11 @@ class Placement:
         """Return the poses of the cameras that were to be placed: (K, 6) metres and radians."""
         return np.array([placed.pose for placed in self.cameras
                          if placed.mount != FIXED]).reshape(-1, 6)
+
+    @property
+    def pose_by_name(self) -> dict[str, Pose]:
+        """Return the poses of all cameras by their names."""
+        return {placed.camera.name: Pose.of(placed.pose) for placed in self.cameras}
 
     @property
     def planned_poses(self) -> np.ndarray | None:

@@ -221,6 +221,17 @@ def test_a_near_pose_that_fits_as_well_is_named(nearer, named):
     assert bool(found.others) == named and (not named or found.refused)
 
 
+def test_a_camera_that_is_refused_for_its_deviation_is_told_what_would_hold_it():
+    # Only a board holds it along the wall.
+    board = np.random.default_rng(0).uniform([1.0, 2.6, -0.4], [1.0, 3.0, 0.4], (4000, 3))
+    room = np.concatenate([plane(3.0), plane(-1.5)[:, [0, 2, 1]], board])
+    pose, model = Pose.of(np.array([0.0, 0.0, 0.0, 0.5 * np.pi, 0.0, 0.0])), CameraModel(0.1, 6.0)
+    view = LiveView((room - pose.position) @ pose.rotation, model)
+    refused = registered_nearby(ScanSurfaces(Scene(room.astype(np.float32))), view, pose,
+                                model).refused
+    assert 'mm along the x direction' in refused and 'the floor and two walls that meet' in refused
+
+
 def test_of_poses_that_fit_as_well_the_nearest_is_taken_as_the_message_says():
     # Boards at a wall repeat after 1.2 m.
     rng = np.random.default_rng(0)
@@ -341,7 +352,7 @@ def test_the_placement_as_built_is_written_and_scored(files, capsys, monkeypatch
         'window=other.npy', 'shelf.npy')['cameras']
     assert door['refused'] == door['otherwise'] == '' and len(door['deviations']) == 6
     assert np.linalg.norm(door['position'] - TRUE.position) < 0.01
-    assert door['moved_metres'] == pytest.approx(0.2, abs=0.01)
+    assert door['from_plan_metres'] == pytest.approx(0.2, abs=0.01)
     assert '0 of 200 points' in window['refused'] and '5000 points in 1' in shelf['refused']
     planned, built = (load_placement(name) for name in ('placement.yaml',
                                                         'out/built/placement.yaml'))

@@ -124,4 +124,4 @@ def test_the_command_takes_a_box_and_says_if_there_is_none(frames, capsys, tmp_p
     calibrate = 'calibrate', '--clouds', *NAMES, '--sensor', 'd455', '--box'
     assert [row['refused'] for row in printed(capsys, *calibrate)['cameras']] == ['', '']
     np.save('alone.npy', frames[0][0] @ OPTICAL_TO_BODY)
-    assert 'two frames' in refused(capsys, 'calibrate', '--clouds', 'alone.npy', '--box')
+    assert 'two clouds' in refused(capsys, 'calibrate', '--clouds', 'alone.npy', '--box')

@@ -57,7 +57,7 @@ from ocp_ros.registration.mutual_registration import (
     MutualRegistration,
     register_mutually,
 )
-from ocp_ros.registration.steady_cloud import steady_cloud
+from ocp_ros.registration.steady_cloud import Frames, steady_cloud
 from ocp_ros.rig.placement_file import load_placement, placement_of
 from ocp_ros.rig.rig_file import rig_of
 from ocp_ros.rig.sensors import SENSORS
@@ -253,16 +253,16 @@ def test_a_camera_that_was_moved_between_its_frames_is_named(capsys, tmp_path, m
     rays, rng = MeshRays(mesh_of(plan_of(SEED))), np.random.default_rng(5)
     before = cast(rays, TRUE[0], SENSOR, 7, 2, rng, 3)
     after = cast(rays, off(TRUE[0], 0.03, 2.0, rng), SENSOR, 5, 2, rng, 3)
-    others, movement = movement_within([*before, *after])
+    others, movement = movement_within(Frames.of([*before, *after]))
     assert others.tolist() == [False] * 7 + [True] * 5 and not movement.is_lost
     assert movement.degrees == pytest.approx(2.0, abs=0.4)
     # People who walk about are no movement, nor is a camera covered in few frames.
-    assert movement_within(before) is None
-    assert movement_within([*before, *(0.1 * frame for frame in after[:1])]) is None
+    assert movement_within(Frames.of(before)) is None
+    assert movement_within(Frames.of([*before, *(0.1 * frame for frame in after[:1])])) is None
     # Frames of another camera are mixed with its own.
     mixed = [frame for pair in zip(before, cast(rays, TRUE[1], SENSOR, 7, 0, rng, 4))
              for frame in pair]
-    others, movement = movement_within(mixed)
+    others, movement = movement_within(Frames.of(mixed))
     assert others.tolist() == [False, True] * 7 and movement.is_lost
     monkeypatch.chdir(tmp_path)
     Path('door').mkdir()
@@ -270,7 +270,7 @@ def test_a_camera_that_was_moved_between_its_frames_is_named(capsys, tmp_path, m
         np.save(f'door/{number:02}.npy', frame @ OPTICAL_TO_BODY)
     np.save('window.npy', seen_from(TRUE[1]) @ OPTICAL_TO_BODY)
     message = refused(capsys, 'calibrate', '--clouds', 'door', 'window.npy', '--sensor', 'd455')
-    assert 'door: ' in message and '07.npy' in message
+    assert 'door: ' in message and 'from cloud 07.npy on' in message
 
 
 def test_clouds_in_millimetres_are_named_and_read(clouds, capsys, tmp_path, monkeypatch):

@@ -17,6 +17,7 @@
 from array import array
 from functools import partial
 from itertools import count
+import json
 import re
 import threading
 
@@ -577,7 +578,7 @@ AWAY = np.array([0.06, -0.03, 0.02])
 
 
 def hang_elsewhere(probe, shown):
-    """Start a camera that sends the last of some clouds; others say that it hangs elsewhere."""
+    """Start a camera that sends each of some clouds for a second; it is said to hang elsewhere."""
     poses = probe.node.create_publisher(PoseArray, topics.CAMERA_POSES, qos.LOOP)
     clouds = probe.node.create_publisher(PointCloud2, 'points_0', qos.SENSOR)
     stamps = count(1000 * S, S // 20)
@@ -586,7 +587,8 @@ def hang_elsewhere(probe, shown):
         stamp = next(stamps)
         poses.publish(positions_to_msg(
             (TRUE[:3] + AWAY)[None], header_at(stamp), TRUE[None, 3:]))
-        clouds.publish(cloud_to_msg(shown[-1], header_at(stamp, OPTICAL.format(0))))
+        cloud = shown[stamp // S % len(shown)]
+        clouds.publish(cloud_to_msg(cloud, header_at(stamp, OPTICAL.format(0))))
 
     probe.node.create_timer(0.05, send)
 
@@ -630,21 +632,37 @@ def test_the_service_says_where_a_camera_hangs_and_drift_is_a_warning(graph, pro
     assert level == DiagnosticStatus.WARN and 'camera_0 hangs 0.0' in message
 
 
-def test_a_camera_that_moves_is_named_without_a_scan(graph, probe):
+def test_a_camera_that_moves_while_the_node_is_off_is_named_with_its_new_pose(
+        graph, probe, tmp_path):
     rays = MeshRays(mesh_of(plan_of(SEED)))
     turned = [TRUE + [0.0, 0.0, 0.0, np.deg2rad(degrees), 0.0, 0.0] for degrees in (0.0, 2.0)]
-    before, after = (cast(rays, Pose.of(pose), 'realsense_d455')[0][::4] @ OPTICAL_TO_BODY
-                     for pose in turned)
+    before, after = (cast(rays, Pose.of(pose), 'realsense_d455', rng=np.random.default_rng(seed),
+                          device=0)[0][::4] @ OPTICAL_TO_BODY for seed, pose in enumerate(turned))
     shown = [before]
     hang_elsewhere(probe, shown)
-    node = graph.add(PolicyNode, planner='lookahead', cloud_topics='points_0', turns=1,
-                     max_range=6.0, arrival_timeout=0.1, drift_seconds=0.5)
+    start = partial(graph.add, PolicyNode, planner='lookahead', cloud_topics='points_0', turns=1,
+                    max_range=6.0, arrival_timeout=0.1, drift_seconds=0.5,
+                    placement_file=str(tmp_path / 'placement.yaml'))
+    node = start()
     graph.until(lambda: counted(node, 'drift_checks') > 1)
-    assert status(node)[0] == DiagnosticStatus.OK
-    shown.append(after)
-    # Until then, some of the last ten clouds are of before.
-    graph.until(lambda: re.search(r'turn it (1\.[89]|2\.[012]) degrees to the right',
-                                  status(node)[1]))
+    assert status(node)[0] == DiagnosticStatus.OK and counted(node, 'moved_cameras') == '{}'
+    graph.remove(node)
+    shown[:] = [after]
+    node = start()
+    graph.until(lambda: counted(node, 'drift_checks'))
+    assert re.search(r'turn it (1\.[6-9]|2\.[0-4]) degrees to the right', status(node)[1])
+    pose = json.loads(counted(node, 'moved_cameras'))['camera_0']
+    assert pose['yaw'] == pytest.approx(np.rad2deg(TRUE[3]) + 2.0, abs=0.4)
+    np.testing.assert_allclose(pose['position'], TRUE[:3] + AWAY, atol=0.01)
+    assert f'{pose["position"][0]:.3f}' in status(node)[1]
+    # It is put back. Until then, some of the last ten clouds are of before.
+    shown[:] = [before]
+    graph.until(lambda: status(node)[0] == DiagnosticStatus.OK)
+    # It moves to and fro.
+    shown[:] = [before, after]
+    assert node.set_parameters([Parameter('drift_seconds', value=0.0)])[0].successful
+    answer = calibrated(probe, lambda answer: 'does not move' in answer.message)
+    assert not answer.success and re.search(r'camera_0: found that .* cloud \d', answer.message)
 
 
 def test_recorded_topics_are_those_of_cameras_by_name_or_in_order():

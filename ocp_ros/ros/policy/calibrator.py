@@ -20,9 +20,10 @@ Registration takes seconds: it runs in a separate thread, one job at a time, and
 
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+import json
 from pathlib import Path
 import time
-from typing import TYPE_CHECKING
+from typing import Any, TYPE_CHECKING
 
 import numpy as np
 from ocp_ros.geometry.cameras import heading_of, Pose
@@ -31,12 +32,20 @@ from ocp_ros.registration.calibration import (
     calibrate,
     calibrate_mutually,
     drift,
+    pose_data,
     views_of,
 )
-from ocp_ros.registration.live_view import LiveView
-from ocp_ros.registration.movement import movements_since, sentence_of
+from ocp_ros.registration.camera_registration import differ
+from ocp_ros.registration.movement import (
+    load_references,
+    MOVED,
+    movements_since,
+    REFERENCES,
+    save_references,
+    sentence_of,
+    still_cloud,
+)
 from ocp_ros.registration.scan_surfaces import ScanSurfaces
-from ocp_ros.registration.steady_cloud import steady_cloud
 from ocp_ros.rig.placement_file import Placement, save_placement
 from ocp_ros.ros.interface.conversions import MessageError, shortened
 from ocp_ros.ros.policy.live_turns import LiveTurns
@@ -54,12 +63,15 @@ class Calibrator:
     """
     Register live cameras on request, and check at intervals whether they move, if configured.
 
-    Movements are checked only when the placement is final: each camera is compared with what it
-    saw at the first check, and with the scan, if there is one.
+    Movements are checked only when the placement is final: each camera is compared with its
+    reference, and with the scan, if there is one. The reference is what it saw when it was
+    calibrated, or at the first check since it is said to be where it is. References are kept
+    beside the placement file, if there is one, so that they outlive the node.
 
     :param node: gets the service and a timer; its parameter ``scan`` names the scan or is empty.
     :param source: has the newest clouds.
-    :raises ConfigurationError: if the file of the scan does not exist.
+    :raises ConfigurationError: if the file of the scan does not exist, or that of the references
+        cannot be read.
     """
 
     def __init__(self, node: 'PolicyNode', source: LiveTurns) -> None:
@@ -74,10 +86,19 @@ class Calibrator:
         self._job_runs = False
         #: Time of the last drift check, or of the start, by a steady clock.
         self._check_time = time.monotonic()
-        #: What each camera saw at the first check of the final placement, by its name.
-        self._references: dict[str, LiveView] = {}
+        file = node.config.placement_file
+        self._reference_file = Path(file).with_name(REFERENCES) if file else None
+        #: The references: clouds (N, 3), metres, body frame, and the poses there, by name.
+        self._references: dict[str, np.ndarray] = {}
+        self._reference_poses: dict[str, Pose] = {}
+        if self._reference_file and self._reference_file.exists():
+            clouds, self._reference_poses = load_references(self._reference_file)
+            self._references = {name: cloud for name, cloud in clouds.items()
+                                if name in self._reference_poses}
         #: A sentence for each camera that had drifted at the last check.
         self.drift_warnings: list[str] = []
+        #: The present poses of cameras that had moved at the last check, as plain data, by name.
+        self.moved_cameras: dict[str, dict[str, Any]] = {}
         self.drift_checks = 0
         node.create_service(Trigger, '~/calibrate', self._on_calibrate)
         create_steady_timer(node, 1.0, self._check_drift)
@@ -105,9 +126,7 @@ class Calibrator:
         """Start a drift check if one is due."""
         interval = self._node.config.drift_seconds
         if not interval:
-            self.drift_warnings = []
-        if not self._node.convergence.is_final:
-            self._references = {}
+            self.drift_warnings, self.moved_cameras = [], {}
         if not interval or self._job_runs or not self._node.convergence.is_final or \
                 time.monotonic() - self._check_time < interval:
             return
@@ -167,9 +186,11 @@ class Calibrator:
         :param frames: by the name of the camera: clouds, each (N, 3) metres, body frame.
         :returns: whether any camera was registered, and a line of text for each camera.
         """
+        clouds, moving = _still_clouds(frames)
         registrations, unusable_clouds = (
-            calibrate(self._scan_surfaces(), placement, _steady(frames)) if self._node.config.scan
-            else calibrate_mutually(placement, _steady(frames)))
+            calibrate(self._scan_surfaces(), placement, clouds) if self._node.config.scan
+            else calibrate_mutually(placement, clouds))
+        unusable_clouds |= moving
         self._references = {}
         lines = []
         for placed in placement.cameras:
@@ -192,32 +213,64 @@ class Calibrator:
             path = Path(self._node.config.placement_file)
             path = path.with_name(f'{path.stem}_as_built{path.suffix}')
             save_placement(path, built)
-            lines.append(f'wrote {path}')
+            lines.append(f'wrote {path}, and {REFERENCES} beside it')
+        # A cloud that is not the camera's own, or has other axes, is no reference for it.
+        self._keep_references({
+            name: clouds[name] for name, one in registrations.items()
+            if not (one.refused or one.actual_setup)}, built.pose_by_name)
         return any_registered, '\n'.join(lines)
 
     def _find_drift(self, placement: Placement, frames: Mapping[str, Sequence[np.ndarray]]
                     ) -> tuple[bool, str]:
         """Find cameras that have drifted; return True for none, and a text about those found."""
-        clouds = _steady(frames)
+        clouds, moving = _still_clouds(frames)
         warnings = drift(self._scan_surfaces(), placement, clouds) if self._node.config.scan \
             else []
-        poses = {placed.camera.name: Pose.of(placed.pose) for placed in placement.cameras}
-        views, reasons = views_of(clouds, {
-            placed.camera.name: placed.camera.model for placed in placement.cameras})
-        warnings += reasons.values()
-        self._references = {**views, **self._references}
-        warnings += [sentence_of(name, movement, poses[name]) for name, movement
-                     in movements_since(self._references, views, poses).items()
-                     if movement.has_moved]
+        poses = placement.pose_by_name
+        models = {placed.camera.name: placed.camera.model for placed in placement.cameras}
+        views, reasons = views_of(clouds, models)
+        warnings += [*reasons.values(), *moving.values()]
+        # A camera that is said to be elsewhere than its reference has a new one.
+        limits = MOVED[0], np.deg2rad(MOVED[1])
+        new = {name: clouds[name] for name in views if name not in self._references
+               or differ(poses[name], self._reference_poses[name], limits)}
+        references, _ = views_of({**self._references, **new}, models)
+        moved = {name: movement for name, movement
+                 in movements_since(references, views, poses).items() if movement.has_moved}
+        warnings += [sentence_of(name, one, poses[name]) for name, one in moved.items()]
         self.drift_warnings = list(dict.fromkeys(warnings))
+        self.moved_cameras = {name: pose_data(one.pose_now(poses[name]))
+                              for name, one in moved.items() if not one.is_lost}
         self.drift_checks += 1
+        if new:
+            self._keep_references(new, poses)
         return not self.drift_warnings, '; '.join(self.drift_warnings)
+
+    def _keep_references(self, clouds: Mapping[str, np.ndarray], poses: Mapping[str, Pose]
+                         ) -> None:
+        """Keep the clouds (N, 3) of cameras at poses as references, by name, also in the file."""
+        self._references |= clouds
+        self._reference_poses |= {name: poses[name] for name in clouds}
+        if self._reference_file:
+            save_references(self._reference_file, self._references, self._reference_poses)
 
     def status(self) -> tuple[str, dict[str, object]]:
         """Return the drift warnings as text (empty if there are none), and values to show."""
-        return '; '.join(self.drift_warnings), {'drift_checks': self.drift_checks}
+        return '; '.join(self.drift_warnings), {
+            'drift_checks': self.drift_checks, 'moved_cameras': json.dumps(self.moved_cameras)}
 
 
-def _steady(frames: Mapping[str, Sequence[np.ndarray]]) -> dict[str, np.ndarray]:
-    """Return what stays in the frames of each camera, by name: (N, 3) metres, body frame."""
-    return {name: steady_cloud(clouds) for name, clouds in frames.items()}
+def _still_clouds(frames: Mapping[str, Sequence[np.ndarray]]
+                  ) -> tuple[dict[str, np.ndarray], dict[str, str]]:
+    """
+    Return what most clouds of each camera show, (N, 3) metres, body frame, by name.
+
+    :returns: also the reasons why cameras have none, as they moved meanwhile, by name.
+    """
+    clouds, reasons = {}, {}
+    for name, taken in frames.items():
+        try:
+            clouds[name] = still_cloud(name, dict(enumerate(taken, 1)))
+        except ConfigurationError as error:
+            reasons[name] = str(error)
+    return clouds, reasons
