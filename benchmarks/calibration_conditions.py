@@ -327,7 +327,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument('--set', choices=sorted(ROOMS), default='test', help='generated rooms')
     parser.add_argument('--rooms', type=int, default=2, help='how many of them')
     parser.add_argument('--first', type=int, default=10, help='number of the first of them')
-    parser.add_argument('--draws', type=int, default=20, help='checks of a camera that is still')
+    parser.add_argument('--draws', type=int, default=63, help='checks of a camera that is still')
     add_lines(parser, 'calibration_conditions.jsonl', 'a line for each camera under a condition')
     results.add_record(parser, 'calibration_conditions')
     arguments = parser.parse_args(argv)
