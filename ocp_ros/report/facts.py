@@ -256,7 +256,7 @@ def _figures(findings: Mapping[str, Any]) -> list[Figure]:
     certificate = findings['search']['certificate'] if 'search' in findings else {'gap': None}
     if certificate['gap'] is not None and certificate['bound'] > 0.0:
         figures.append(Figure('better by at most', f'{gap_percent(certificate["gap"]):.1f} %',
-                              f'on {certificate["candidates"]:,} candidate poses'))
+                              f'on candidate poses {certificate["step"]:.2g} m apart'))
     if one_more := findings['one_more']:
         place = ', '.join(f'{value:.1f}' for value in one_more['position'])
         # By rounding, a gain of 0 may be a little below 0.

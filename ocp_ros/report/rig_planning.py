@@ -293,17 +293,17 @@ def certificate_data(proof: Certificate | None, reason: str = '') -> dict[str, A
     near = ', closer around the cameras' if proof.near else ''
     gain = (f'; moving off this grid gained {100.0 * proof.moved:.1f} %'
             if (proof.moved or 0.0) >= MIN_GAP_PERCENT / 100.0 else '')
+    limit = f'{gap_percent(proof.gap):.1f} %'
     if proof.bound <= 0.0:
         # A relaxed choice of the poses misses nothing.
         limit = f'all that it still misses, {100.0 * proof.found:.2g} % of the error of no cameras'
-    else:
-        limit = f'{gap_percent(proof.gap):.1f} %'
     if proof.relaxed:
         limit += f', even with {" and ".join(proof.relaxed)} relaxed'
     # The properties ``gap`` and ``moved`` are added, since ``asdict`` has the fields only.
     return {'sentence': f'No placement on {proof.candidates:,} candidate poses ({spacing} '
                         f'apart{near}) is better by more than {limit}{gain} (computed '
-                        f'on depth maps of {proof.rows} rows).',
+                        f'on depth maps of {proof.rows} rows).'
+                        + ' This is not final: more seconds refine it.' * (not proof.final),
             'gap': proof.gap, 'moved': proof.moved, **asdict(proof)}
 
 

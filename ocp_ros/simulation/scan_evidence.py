@@ -41,7 +41,8 @@ from ocp_ros.util.threads import mapped
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-#: Metres: the edge of a cell of space.
+#: Metres: the least edge of a cell of space. Cells are not narrower than the median pitch of the
+#: points, since the rays to neighbouring points are as far apart.
 CELL_M = 0.1
 #: Metres: the way through unknown space that is still taken for free.
 MAX_UNKNOWN_M = 0.4
@@ -75,6 +76,7 @@ class ScanEvidence:
     :ivar sides: (N,) int8, 1 or -1 for the side of the normal or the other one if the surface was
         seen from there only, else 0.
     :ivar low: (3,) metres, the corner of the first cell.
+    :ivar edge: metres, that of a cell.
     :ivar is_crossed: (X, Y, Z) bool, the cells that rays of the scanner have crossed.
     """
 
@@ -86,6 +88,7 @@ class ScanEvidence:
     normals: np.ndarray
     sides: np.ndarray
     low: np.ndarray
+    edge: float
     is_crossed: np.ndarray
 
     @classmethod
@@ -104,13 +107,13 @@ class ScanEvidence:
         stations, seen = known or _likely_stations(scene, visibility)
         order = visibility.order
         points, normals = scene.points[order], scene.normals_or_estimate[order]
-        low = scene.bounds[0] - CELL_M
-        is_crossed = np.full(np.ceil((scene.size + 2.0 * CELL_M) / CELL_M).astype(int),
-                             len(stations) == 0)
+        edge = max(CELL_M, float(np.median(scene.pitch)))
+        low = scene.bounds[0] - edge
+        is_crossed = np.full(np.ceil(scene.size / edge + 2.0).astype(int), len(stations) == 0)
         for station, own in zip(stations, seen):
-            cross_cells(station, points[own].astype(np.float64), low, CELL_M, is_crossed)
+            cross_cells(station, points[own].astype(np.float64), low, edge, is_crossed)
         return cls(scene, visibility.by(FINER), stations, known is not None, points, normals,
-                   _sides_seen(points, normals, stations, seen), low, is_crossed)
+                   _sides_seen(points, normals, stations, seen), low, edge, is_crossed)
 
     def proved(self, seen: np.ndarray, position: np.ndarray | None, finer: bool = True
                ) -> np.ndarray:
@@ -127,7 +130,7 @@ class ScanEvidence:
         if finer:
             seen = seen & self._seen_well(np.asarray(position, dtype=np.float64).tobytes())
         return proved_bits(seen, np.asarray(position, dtype=np.float64), self.points,
-                           self.normals, self.sides, self.low, CELL_M, self.is_crossed,
+                           self.normals, self.sides, self.low, self.edge, self.is_crossed,
                            MAX_UNKNOWN_M)
 
     def unscanned_share(self, chosen: np.ndarray, air: Air) -> float | None:
@@ -151,7 +154,7 @@ class ScanEvidence:
         points, inward = self.points[rows], -self.sides[rows, None] * self.normals[rows]
         near = np.flatnonzero(((self.points > points.min(axis=0) - BEHIND_M)
                                & (self.points < points.max(axis=0) + BEHIND_M)).all(axis=1))
-        radius = max(CELL_M, 2.0 * float(np.median(self.scene.pitch)))
+        radius = max(self.edge, 2.0 * float(np.median(self.scene.pitch)))
         # Surfaces pass through crossed cells beside others.
         is_open = ndimage.binary_erosion(self.is_crossed)
         low, high = self.scene.bounds
@@ -159,9 +162,9 @@ class ScanEvidence:
         for k in np.flatnonzero(self.sides[rows]):
             # Behind the whole surface is air, unless it stands at a wall or on a floor.
             depth = float(((points - points[k]) @ inward[k]).max())
-            ways = np.append(np.arange(2.0 * CELL_M, depth, CELL_M), depth + BEHIND_M)
+            ways = np.append(np.arange(2.0 * self.edge, depth, self.edge), depth + BEHIND_M)
             places = points[k] + ways[:, None] * inward[k]
-            cells = np.floor((places[:-1] - self.low) / CELL_M).astype(int)
+            cells = np.floor((places[:-1] - self.low) / self.edge).astype(int)
             is_free = np.append(
                 is_open[tuple(np.clip(cells, 0, np.array(is_open.shape) - 1).T)],
                 ~air.closed(places[-1:]) & ((places[-1] > low) & (places[-1] < high)).all())

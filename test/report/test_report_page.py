@@ -108,7 +108,7 @@ def test_many_figures_fit_their_tiles(rooms):
     poses = np.repeat(middle_of(rooms[0][0]), 2, axis=0)
     judged = judged_in(rooms[0], rig, poses)
     judged.found['search'] = {
-        'certificate': {'gap': 0.0704, 'bound': 4.5, 'candidates': 33945, 'sentence': ''}}
+        'certificate': {'gap': 0.0704, 'bound': 4.5, 'step': 1.46, 'sentence': ''}}
     assert len(page_facts_of(judged).figures) == 10
     page, = report_page.figures_of_pages(judged)
     shown = ' '.join(text for text, _ in texts_of(page))

@@ -185,10 +185,12 @@ def test_a_sparse_scan_widens_what_is_expected():
         assert wide['low'] <= wide['depth_error'] <= wide['high']
         remarks = [score_figures(SCORES, one)[1].remark for one in (narrow, wide)]
         assert ['scan more densely' in remark for remark in remarks] == [False, True]
-    assert wide['low'] < 0.8 * narrow['low']
+    assert wide['high'] > 1.1 * narrow['high']
 
 
 def test_cameras_under_the_ceiling_deliver_more_of_what_is_promised():
     for error in (1.0, 5.0, 12.0):
         others, under = (expected(error, 40.0, under_ceiling=below) for below in (False, True))
-        assert under['depth_error'] < others['depth_error'] and under['high'] < others['high']
+        assert under['depth_error'] < others['depth_error'] and under['low'] <= others['low']
+        # One or two cameras there may miss as much as others do.
+        assert under['high'] == others['high']

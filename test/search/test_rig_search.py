@@ -14,6 +14,7 @@
 
 """Pricing: the trees are the loss, the bound is below every choice, and the clock is obeyed."""
 
+from dataclasses import replace
 from itertools import combinations, count
 
 from conftest import for_any, made_room, printed
@@ -399,3 +400,6 @@ def test_a_bound_that_counts_a_goal_in_part_says_so(plan):
     # Without a positive bound, the sentence is about all that the placement misses.
     proof = Certificate(100, 0.3, False, 15.0, 64, 0.004, 0.0, True, None, 1.0)
     assert 'all that it still misses, 0.4 %' in certificate_data(proof)['sentence']
+    # Of a grid that had no time to become finer, the sentence says so.
+    assert ['not final' in certificate_data(one)['sentence']
+            for one in (proof, replace(proof, final=False))] == [False, True]

@@ -168,6 +168,7 @@ def test_the_score_shows_what_is_met(tmp_path, monkeypatch, capsys):
     assert score == {'region': '', 'require': '125 px/m (perceive, recognise), by 1 camera',
                      'share': score['share'], 'asked': 0.99, 'met': False}
     assert 0.0 < score['share'] < found['scores']['seen']
+    assert any('measured as required (125 px/m' in line for line in found['broken'])
     assert ('requirements', '0 of 1 met') in [figure[:2] for figure in facts_of(found).figures]
 
 

@@ -144,6 +144,16 @@ def test_stations_are_found_if_the_file_does_not_say_them(scene):
     assert 0.3 < evidence.is_crossed.mean() < 0.95
 
 
+def test_a_sparse_scan_of_an_empty_room_proves_most_views():
+    # Rays to points 0.3 m apart leave gaps that are wider than 0.1 m.
+    room = Scene(box_sides((12.0, 8.0, 4.0), (6.0, 4.0, 2.0), 0.3).astype(np.float32), 'hall')
+    objective = Problem.of(room, rig_of(1, 'helios2', mount={'on': 'ceiling'})).objective
+    views = objective.look(np.array([[0.5, 4.0, 3.8, 0.0, 0.5, 0.0]]))
+    seen, proved = (one.evaluate_views(views).seen.mask.sum() for one in (
+        objective, objective.validation))
+    assert proved > 0.8 * seen > 200
+
+
 def test_a_view_from_an_aisle_that_was_not_scanned_proves_nothing():
     # A shelf of the height of the room but for a slit; behind it nothing was scanned.
     points = box_sides((6.0, 4.0, 2.8), (3.0, 2.0, 1.4), 0.06)
