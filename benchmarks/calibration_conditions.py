@@ -18,9 +18,10 @@ Measure under which conditions ``ocp calibrate`` finds cameras, and false alarms
     python -m benchmarks.calibration_conditions --record
 
 One condition is changed at a time. With a scan from tripods: the first guess, the frames, the
-people and how far away the camera's surfaces are; and of a camera that sees one bare wall, whether a box was set down where another one sees
-it too. Without a scan, of two cameras: the share of points that both see, and the angle between
-their directions. ``--record`` also writes docs/reference/calibration_conditions.md.
+people and how far away the camera's surfaces are; and of a camera that sees one bare wall, whether
+a box was set down where another one sees it too. Without a scan, of two cameras: the share of
+points that both see, and the angle between their directions. ``--record`` also writes
+docs/reference/calibration_conditions.md.
 """
 
 import argparse
@@ -111,9 +112,9 @@ TABLES = {
     'frames': Table('Number of clouds, with a scan', 'clouds of a camera',
                     ('1', '5', str(FRAMES))),
     'people': Table('People who walk about, with a scan', 'people in a cloud', ('0', '1', '3')),
-    'distance': Table('Distance of what a camera sees, with a scan', 'median distance of its points',
-                      (f'up to {FAR[0]:g} m', f'{FAR[0]:g} to {FAR[1]:g} m',
-                       f'from {FAR[1]:g} m')),
+    'distance': Table(
+        'Distance of what a camera sees, with a scan', 'median distance of its points',
+        (f'up to {FAR[0]:g} m', f'{FAR[0]:g} to {FAR[1]:g} m', f'from {FAR[1]:g} m')),
     'overlap': Table('Common points of two cameras, without a scan', 'points in common',
                      tuple(f'{100.0 * share:.0f} %' for share in OVERLAPS)),
     'box': Table('A camera that sees one bare wall, with a scan', 'remedy', ('none', '`--box`')),
