@@ -659,8 +659,8 @@ def _rejection_reason(overlap: float, violated_share: float, behind_share: float
     # The deviations grow with little overlap and displaced surfaces; the largest comes first.
     grown = certainty.with_doubts(overlap, displaced_share)
     if grown.metres[0] > LIMITS.max_metres or grown.degrees[0] > LIMITS.max_degrees:
-        return (f'it may be off by {1000.0 * grown.metres[0]:.0f} mm along '
-                f'{axis_name(grown.slide_axes[0])} and {grown.degrees[0]:.1f} degrees about '
+        return (f'it may be off by {1000.0 * grown.metres[0]:.1f} mm along '
+                f'{axis_name(grown.slide_axes[0])} and {grown.degrees[0]:.2f} degrees about '
                 f'{axis_name(grown.turn_axes[0])}, at most {1000.0 * LIMITS.max_metres:.1f} mm '
                 f'and {LIMITS.max_degrees:g} degrees are allowed; {LOOSE_REMEDY}')
     return ''

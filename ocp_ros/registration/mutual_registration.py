@@ -595,7 +595,7 @@ def _refusal(total: float, lead: float, certainty: Certainty) -> str:
                 'by others; turn it to what another one sees')
     if (certainty.metres[0] > MUTUAL_LIMITS.max_metres
             or certainty.degrees[0] > MUTUAL_LIMITS.max_degrees):
-        return (f'it may be off by {1000.0 * certainty.metres[0]:.0f} mm and '
+        return (f'it may be off by {1000.0 * certainty.metres[0]:.1f} mm and '
                 f'{certainty.degrees[0]:.1f} degrees against the other cameras, at most '
                 f'{1000.0 * MUTUAL_LIMITS.max_metres:.0f} mm and {MUTUAL_LIMITS.max_degrees:g} '
                 'degrees are allowed; turn it to what another one sees')
