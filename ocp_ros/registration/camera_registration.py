@@ -87,6 +87,9 @@ CONTRADICTION_WEIGHT = 3.0
 #: What to do if too little holds a camera along a direction.
 LOOSE_REMEDY = ('turn it to surfaces across that, best to the floor and two walls that meet, or '
                 'scan what it sees of them')
+#: What to check if the scan alone does not tell two poses apart.
+DECIDED_BY_OTHERS = ('by the scan alone, another pose fits as well, and the other cameras '
+                     'decided: check it by a measured distance to one of them (--distance)')
 ALL = slice(None)
 #: The weight in the score of the share of points closely behind a surface.
 BEHIND_WEIGHT = 3.0
@@ -328,7 +331,9 @@ def register_together(scan: ScanSurfaces, cameras: Mapping[str, tuple[LiveView, 
                 name, certainty.slide_axes[0],
                 {other: pose.position for other, pose in zip(names, poses)},
                 [names[other] for camera, other in pairs if camera == k], measured))
-        joint[name] = answer._replace(actual_setup=alone.actual_setup, note=alone.note)
+        doubt = DECIDED_BY_OTHERS if alone.others and not answer.refused else ''
+        joint[name] = answer._replace(actual_setup=alone.actual_setup, note='; '.join(
+            filter(None, [alone.note, doubt])))
     return joint
 
 

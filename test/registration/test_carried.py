@@ -60,12 +60,12 @@ def carried_in(frames, views):
                        in zip(NAMES, frames)}, dict.fromkeys(NAMES, MODEL))
 
 
-def registered(views, carried, measured=None):
+def registered(views, carried, measured=None, others=()):
     """Register both cameras to a scan; the second one begins 30 cm aside along its wall."""
     scan = ScanSurfaces(Scene(sample_surfaces(hall(), 9000, np.random.default_rng(0))))
     unknown = Certainty(np.eye(3), np.ones(3), np.eye(3), np.ones(3))
     starts = TRUE[0], Pose(TRUE[1].position + [0.3, 0.0, 0.0], TRUE[1].rotation)
-    alone = {name: Registration(pose, 0.0, 0.9, 0.0, unknown, 0.0, 0.0, '')
+    alone = {name: Registration(pose, 0.0, 0.9, 0.0, unknown, 0.0, 0.0, '', others=others)
              for name, pose in zip(NAMES, starts)}
     return register_together(scan, {name: (view, MODEL) for name, view in views.items()}, alone,
                              measured, carried)['wall']
@@ -77,9 +77,12 @@ def test_a_box_holds_a_camera_along_a_bare_wall(frames, views):
     found = registered(views, carried_in(frames, views))
     row = row_of(found, TRUE[1])
     along = int(np.abs(found.certainty.slide_axes[:, 0]).argmax())
-    assert not found.refused and abs(row['normalised'][along]) < 2.6
+    assert not found.refused and not found.note and abs(row['normalised'][along]) < 2.6
     assert abs(found.pose.position[0] - TRUE[1].position[0]) < 0.015
     assert found.certainty.held_by[along]['corner'] > 0.5
+    # A doubt that the scan alone leaves is not forgotten.
+    doubted = registered(views, carried_in(frames, views), others=(TRUE[1],))
+    assert not doubted.refused and 'another pose fits as well' in doubted.note
     # The same without a scan.
     assert any(one.refused for one in register_mutually(views)[0].values()) or len(
         register_mutually(views)[0]) < 2
