@@ -131,15 +131,10 @@ def _with_exchanged(placement: Placement, found: Mapping[str, Registration]
                           for others in (pair, pair[::-1]))
         if own > 0.3 and exchanged < 0.5 * own:
             for name, other in zip(pair, pair[::-1]):
-                noted[name] = _with_note(noted[name], (
+                noted[name] = noted[name].with_note(
                     f'it is nearer to the planned pose of {other}, and {other} to its own: check '
-                    'whether their clouds are exchanged'))
+                    'whether their clouds are exchanged')
     return noted
-
-
-def _with_note(one: Registration, note: str) -> Registration:
-    """Return a registration with a further note."""
-    return one._replace(note='; '.join(filter(None, [one.note, note])))
 
 
 def _for_each_camera(
@@ -233,13 +228,13 @@ def _correct_depths(scan: ScanSurfaces, placement: Placement, found: dict[str, R
         if wrong > CORRECTED * deviation:
             used[name], factors[name] = used[name] * factor, factor
             one = register(scan, LiveView(used[name], model, name), one.pose, model, near)
-            found[name] = _with_note(one, f'its depths are {text}; its pose is by corrected '
-                                     'depths; calibrate its depths')
+            found[name] = one.with_note(
+                f'its depths are {text}; its pose is by corrected depths; calibrate its depths')
         else:
             away = one.pose.away_from(found[name].pose)[0]
-            found[name] = _with_note(found[name], (
+            found[name] = found[name].with_note(
                 f'its depths may be {text}, but that is uncertain by {100.0 * deviation:.1f} %; '
-                f'its pose would then be off by {1000.0 * away:.0f} mm; calibrate its depths'))
+                f'its pose would then be off by {1000.0 * away:.0f} mm; calibrate its depths')
     return factors
 
 

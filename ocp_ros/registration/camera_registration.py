@@ -159,6 +159,10 @@ class Registration(NamedTuple):
         return bool(self.refused) and (self.overlap < LIMITS.min_overlap
                                        or self.violated_share > LIMITS.max_violated)
 
+    def with_note(self, note: str) -> 'Registration':
+        """Return the registration with a further note."""
+        return self._replace(note='; '.join(filter(None, [self.note, note])))
+
 
 def register(scan: ScanSurfaces, view: LiveView, start: Pose, model: CameraModel,
              near: float = FARTHEST_M) -> Registration:
@@ -332,8 +336,8 @@ def register_together(scan: ScanSurfaces, cameras: Mapping[str, tuple[LiveView, 
                 {other: pose.position for other, pose in zip(names, poses)},
                 [names[other] for camera, other in pairs if camera == k], measured))
         doubt = DECIDED_BY_OTHERS if alone.others and not answer.refused else ''
-        joint[name] = answer._replace(actual_setup=alone.actual_setup, note='; '.join(
-            filter(None, [alone.note, doubt])))
+        answer = answer._replace(actual_setup=alone.actual_setup, note=alone.note)
+        joint[name] = answer.with_note(doubt)
     return joint
 
 

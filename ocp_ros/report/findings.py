@@ -354,7 +354,8 @@ def _ratio_table() -> dict[str, Any]:
 
 def gaps_of(scene: Scene) -> tuple[str, ...]:
     """Return the names of what a scan lacks: surfaces, and ``sparse`` if it has few points."""
-    return (*missing_surfaces(scene), *['sparse'] * bool(np.median(scene.pitch) > SPARSE_PITCH_M))
+    sparse = np.median(scene.pitch) > SPARSE_PITCH_M
+    return (*missing_surfaces(scene), *(('sparse',) if sparse else ()))
 
 
 def ratios_for(missing: Sequence[str], under_ceiling: bool) -> list[float]:

@@ -154,7 +154,7 @@ class ScanEvidence:
         points, inward = self.points[rows], -self.sides[rows, None] * self.normals[rows]
         near = np.flatnonzero(((self.points > points.min(axis=0) - BEHIND_M)
                                & (self.points < points.max(axis=0) + BEHIND_M)).all(axis=1))
-        radius = max(self.edge, 2.0 * float(np.median(self.scene.pitch)))
+        radius = max(CELL_M, 2.0 * float(np.median(self.scene.pitch)))
         # Surfaces pass through crossed cells beside others.
         is_open = ndimage.binary_erosion(self.is_crossed)
         low, high = self.scene.bounds
