@@ -74,7 +74,7 @@ class ColumnTuning:
     open_tolerance: tuple[float, float] = (0.1, 0.25)
     core_step: float = 0.3
     old_core: float = 0.8
-    max_rounds: int = 60
+    max_rounds: int = 16
     max_programs: int = 12
     closed_gap: float = 0.004
     min_loss: float = 0.02
@@ -142,8 +142,9 @@ class ColumnGeneration:
         self._is_solved = False
         #: The last core point: the share of each of its columns.
         self._core: dict[Column, float] = {}
-        #: For each active cut, the unserved nodes of its choice: (T / 8,) uint8, packed bits.
-        self._cut_nodes: list[np.ndarray] = []
+        #: For each choice with active cuts, its unserved nodes, (T / 8,) uint8, packed bits, and
+        #: the parts whose cuts are active, (B,) bool.
+        self._active_cuts: list[tuple[np.ndarray, np.ndarray]] = []
         rng = np.random.default_rng(0)
         columns = []
         for number, grid in enumerate(grids):
@@ -317,11 +318,11 @@ class ColumnGeneration:
             core += TUNING.old_core * (old - core)
         # Start from the active cuts of the last program; the first program starts from cuts at the
         # core point. The program numbers these cuts from 0, and goes on with the new ones.
-        old_cuts = self._cut_nodes
-        for number, bits in enumerate(old_cuts):
+        old_cuts = self._active_cuts
+        for number, (bits, parts) in enumerate(old_cuts):
             unserved = np.unpackbits(bits, count=len(self._merged_rows))
             weights = np.bincount(self._merged_rows, self.trees.weights * unserved, nodes)
-            program.add_cuts(number, *trees.loss_cuts(self._seen_by, count, weights))
+            program.add_cuts(number, *trees.loss_cuts(self._seen_by, count, weights), parts)
         # The unserved merged nodes of the new cuts, as packed bits.
         new_cuts: list[np.ndarray] = []
 
@@ -361,7 +362,7 @@ class ColumnGeneration:
         def nodes_of(number: int) -> np.ndarray:
             """Return the unserved nodes of a cut of all trees: (T,) bool."""
             if number < len(old_cuts):
-                return np.unpackbits(old_cuts[number], count=len(self._merged_rows)).view(bool)
+                return np.unpackbits(old_cuts[number][0], count=len(self._merged_rows)).view(bool)
             return np.unpackbits(new_cuts[number - len(old_cuts)], count=nodes).view(bool)[
                 self._merged_rows]
 
@@ -370,13 +371,14 @@ class ColumnGeneration:
         active = np.flatnonzero(solution.multipliers > ZERO_TOLERANCE)
         multipliers = np.zeros(len(self.trees.weights))
         slack = 0.0
-        self._cut_nodes = []
+        self._active_cuts = []
         for number in np.unique(program.cuts[active, 0]):
             unserved = nodes_of(number)
-            # Keep the choices of active cuts, each once.
-            self._cut_nodes.append(np.packbits(unserved))
+            parts = np.zeros(len(trees.slacks), dtype=bool)
+            self._active_cuts.append((np.packbits(unserved), parts))
             for k in active[program.cuts[active, 0] == number]:
                 part = program.cuts[k, 1]
+                parts[part] = True
                 first, last = self.trees.part_starts[part:part + 2]
                 multipliers[first:last] += solution.multipliers[k] * unserved[first:last]
                 slack -= solution.multipliers[k] * trees.slacks[part]
@@ -384,7 +386,7 @@ class ColumnGeneration:
         self._shares, self._relaxed_loss = solution.shares, loss
         self._is_solved = solution.optimal
         if not solution.optimal:
-            self._cut_nodes = old_cuts
+            self._active_cuts = old_cuts
         self._core = dict(zip(self._columns, core))
         return float(optimum), multipliers, float(multipliers.sum() + slack)
 
