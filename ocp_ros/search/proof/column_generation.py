@@ -143,7 +143,7 @@ class ColumnGeneration:
         #: The last core point: the share of each of its columns.
         self._core: dict[Column, float] = {}
         #: For each choice with active cuts, its unserved nodes, (T / 8,) uint8, packed bits, and
-        #: the parts whose cuts are active, (B,) bool.
+        #: the numbers of the parts whose cuts are active, (S,) int64.
         self._active_cuts: list[tuple[np.ndarray, np.ndarray]] = []
         rng = np.random.default_rng(0)
         columns = []
@@ -374,11 +374,10 @@ class ColumnGeneration:
         self._active_cuts = []
         for number in np.unique(program.cuts[active, 0]):
             unserved = nodes_of(number)
-            parts = np.zeros(len(trees.slacks), dtype=bool)
+            parts = program.cuts[rows := active[program.cuts[active, 0] == number], 1]
+            # Keep the choices of active cuts, each once.
             self._active_cuts.append((np.packbits(unserved), parts))
-            for k in active[program.cuts[active, 0] == number]:
-                part = program.cuts[k, 1]
-                parts[part] = True
+            for k, part in zip(rows, parts):
                 first, last = self.trees.part_starts[part:part + 2]
                 multipliers[first:last] += solution.multipliers[k] * unserved[first:last]
                 slack -= solution.multipliers[k] * trees.slacks[part]

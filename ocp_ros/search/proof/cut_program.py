@@ -96,7 +96,7 @@ class CutProgram:
         :param number: the caller's number for these cuts, which :attr:`cuts` stores.
         :param constants: (B,) loss of each part if no pose is chosen.
         :param gains: (B, n) its reduction by each pose.
-        :param selected: (B,) bool, the parts whose cuts are added; by default all.
+        :param selected: the parts whose cuts are added, (B,) bool or numbers; by default all.
         """
         # Each cut is a row: the loss of the part + gains @ choice >= constant.
         for part in (added := np.arange(self._part_count)[selected]):
