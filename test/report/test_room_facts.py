@@ -167,7 +167,9 @@ def test_a_share_of_what_was_not_scanned_counts_as_missed():
     missed = partial['scores']['unscanned_error']
     without = expected(partial['scores']['validation_error'],
                        partial['scores']['depth_error_of_nothing'], under_ceiling=True)
-    assert 0.4 * missed < partial['expected']['depth_error'] - without['depth_error'] < missed
+    # 0.6 of what was not scanned is missed, and three quarters of what is missed under ceilings;
+    # errors near 0 are expected with the low ratio, which is larger there.
+    assert missed / 3 < partial['expected']['depth_error'] - without['depth_error'] < missed
     assert partial['expected']['low'] > without['low']
 
 
