@@ -164,12 +164,14 @@ def test_a_share_of_what_was_not_scanned_counts_as_missed():
     note, = [note for note in partial['notes'] if 'nothing scanned' in note]
     at = [float(value) for value in note.split('(')[1].split(')')[0].split(',')]
     assert (np.array(at) < 2.6).all()
-    missed = partial['scores']['unscanned_error']
-    without = expected(partial['scores']['validation_error'],
-                       partial['scores']['depth_error_of_nothing'], under_ceiling=True)
-    # 0.6 of what was not scanned is missed, and three quarters of what is missed under ceilings;
-    # errors near 0 are expected with the low ratio, which is larger there.
-    assert missed / 3 < partial['expected']['depth_error'] - without['depth_error'] < missed
+    missed, worst, error = (partial['scores'][key] for key in (
+        'unscanned_error', 'depth_error_of_nothing', 'validation_error'))
+    assert partial['expected'] == expected(error, worst, unscanned=missed, under_ceiling=True)
+    without = expected(error, worst, under_ceiling=True)
+    # Errors near 0, as this one, are expected with another ratio.
+    less, more = (expected(5.0, worst, unscanned=some, under_ceiling=True)['depth_error']
+                  for some in (0.0, missed))
+    assert 0.4 * missed < more - less < missed
     assert partial['expected']['low'] > without['low']
 
 
